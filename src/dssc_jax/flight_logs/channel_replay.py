@@ -1,6 +1,7 @@
 """The analysed controller of a channel, fed with logged measurements: the command that it would have given."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -30,17 +31,19 @@ class ChannelReplay:
         study: The study, without a sweep.
         index: Position of the channel.
         reference: The study's reference with two derivatives, shape (3, samples).
+        sample_time: Time between two samples for which the software integrates and differentiates [s]; None: T_s.
     """
 
-    def __init__(self, study: Study, index: int, reference: np.ndarray) -> None:
+    def __init__(self, study: Study, index: int, reference: np.ndarray, sample_time: float | None = None) -> None:
         self.study = study
         self.index = index
         self.reference = reference
+        self.sample_time = study.loop.sample_time if sample_time is None else sample_time
         self._compiled = jax.jit(self._commands, compiler_options=plain_options())
 
     def _commands(self, columns: tuple[Measurement, ReferencePoint]) -> jax.Array:
         """The command at each sample; every field of the columns has the shape (samples,)."""
-        loop = self.study.loop
+        loop = replace(self.study.loop, sample_time=self.sample_time)
         params = self.study.params(median_values(self.study))
 
         def sample(state: ControlState, signals: tuple[Measurement, ReferencePoint]) -> tuple[ControlState, jax.Array]:

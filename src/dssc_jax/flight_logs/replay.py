@@ -30,6 +30,7 @@ from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.references import compared_references, study_references
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
 from dssc_jax.flight_logs.hints.reset_hints import reset_hints
+from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
 from dssc_jax.flight_logs.hints.starts import start_hints
 from dssc_jax.flight_logs.reading.coverage import times_text
 from dssc_jax.flight_logs.reading.reader import (
@@ -224,6 +225,10 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             not_replayed[channel] = f"the log has no command {name} to compare with that of the analysed controller"
             continue
         if columns:
+            continue
+        slower = slower_controller(replay, signals, command)
+        if slower is not None:
+            factors[name] = slower
             continue
         unit_text = command_unit(signals["u_total"], command, units.of("u"))
         if unit_text:

@@ -51,6 +51,7 @@ WarningCode: TypeAlias = Literal[
     "row-numbers",
     "shifted-command",
     "shifted-reference",
+    "slower-controller",
     "start-in-air",
     "start-motion",
     "still-rate",

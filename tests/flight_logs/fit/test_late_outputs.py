@@ -65,6 +65,19 @@ def test_a_delay_is_told_with_its_size(predictions, late):
         assert "plant." in text
 
 
+def test_a_delay_that_explains_a_part_only_says_what_remains(predictions):
+    """Outputs that are 0.08 s late, and a wave that the study lacks."""
+    log = flight(2, 4)
+    y = log.columns["y"]
+    assert "remain with it" not in told(log, predictions)[0]
+    wave = y._replace(value=y.value + 0.02 * np.sin(5.0 * y.time))
+    (text,) = told(log._replace(columns={**log.columns, "y": wave}), predictions)
+    share, size = re.search(r"But (\S+) % of the residual of y remain with it, (\S+) m rms", text).groups()
+    assert 0.012 < float(size) < 0.018
+    assert 10.0 < float(share) < 90.0
+    assert "another one is likely" in text
+
+
 def test_the_delay_is_the_shift_of_least_residual(predictions):
     """Of SciPy's plant at the true numbers."""
     log = flight(4, 6)

@@ -275,7 +275,7 @@ def refusal_causes(problem: FitProblem, best: Minimum, results: list[Explained])
     """Likely causes of a residual that is more than noise, beside other columns."""
     doubts_of_outliers = outlier_doubts(problem, best.x)
     doubts_of_dropouts = dropout_doubts(problem, best)
-    doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, best)
+    doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, best, results)
     parts = (
         NO_DOUBTS if doubts_of_dropouts else part_doubts_of_refusal(problem, best, results[0], bool(doubts_of_delays))
     )
@@ -317,7 +317,7 @@ def fitted_minimum(
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
     doubts_of_dropouts = dropout_doubts(problem, search.best)
-    doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, search.best)
+    doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, search.best, results)
     covariance = averaged_covariance(problem, posteriors, x)
     covariance = widening(rough) * larger_covariance(covariance, declared_covariance(problem, search.best))
     covariance = covariance[np.ix_(fitted, fitted)]

@@ -14,6 +14,8 @@ import numpy as np
 from dssc_jax.flight_logs.fit.least_squares import FitProblem, NormalEquations
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.prediction import declares_noise
+from dssc_jax.flight_logs.fit.refusals import Explained
+from dssc_jax.flight_logs.fit.remaining_residuals import remaining_text
 from dssc_jax.flight_logs.fit.search_limits import SearchCount
 from dssc_jax.flight_logs.fit.shifts import Delay, fitted_delay, longest_shift
 from dssc_jax.flight_logs.reading.reader import signal_name
@@ -78,10 +80,17 @@ def late_command(problem: FitProblem, minimum: Minimum) -> Delay | None:
     return fitted_delay(shifts, minimum, channels, best, margin)
 
 
-def command_delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
+def command_delay_doubts(
+    problem: FitProblem, minimum: Minimum, results: Sequence[Explained] = ()
+) -> tuple[SignalWarning, ...]:
     """The doubt about commands that act later or earlier than they are logged, with the remedy.
 
     The estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+        results: How well the study describes each channel; empty: what a delay leaves of the residual is not told.
     """
     study = problem.study
     delay = late_command(problem, minimum)
@@ -103,5 +112,6 @@ def command_delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalW
     text = (
         f"{name} acts {delay.size_text} {side} than it is logged (p = {delay.p_value:.1g}): moved by that, {falls}"
         f"{delay.move_text(problem.named_values(minimum.x))}. {remedy}"
+        f"{remaining_text(problem, minimum, delay, results)}"
     )
     return (SignalWarning(name, "delayed-command", text),)

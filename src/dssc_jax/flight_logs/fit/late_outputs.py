@@ -15,6 +15,8 @@ from dssc_jax.flight_logs.fit.late_commands import command_delay_doubts
 from dssc_jax.flight_logs.fit.least_squares import LEAST_SAMPLES, TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum, minimise
 from dssc_jax.flight_logs.fit.prediction import declares_noise
+from dssc_jax.flight_logs.fit.refusals import Explained
+from dssc_jax.flight_logs.fit.remaining_residuals import remaining_text
 from dssc_jax.flight_logs.fit.shifts import Delay, fitted_delay, linear_cost, longest_shift
 from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
@@ -151,17 +153,22 @@ def replace_prediction(problem: FitProblem, prediction: tuple[np.ndarray, np.nda
     return problem
 
 
-def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
+def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explained] = ()) -> tuple[SignalWarning, ...]:
     """The doubt about outputs, or commands, that are later or earlier than the study predicts, with the remedy.
 
     The estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+        results: How well the study describes each channel; empty: what a delay leaves of the residual is not told.
     """
     study = problem.study
     if problem.count.reason:
         return screened_doubts(problem, minimum)
     lateness = late_output(problem, minimum)
     if lateness is None or not lateness.matters(study.loop.sample_time) or not lateness.explains:
-        return command_delay_doubts(problem, minimum)
+        return command_delay_doubts(problem, minimum, results)
     names = [signal_name(study.loop.channels[channel], "y") for channel in lateness.channels]
     sizes = []
     for name, channel, unshifted, shifted in zip(
@@ -184,6 +191,7 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, 
         f"{', '.join(names)} {verb} {lateness.size_text} {side} than the study predicts for the logged commands, or "
         f"these are as much {opposite_side} (p = {lateness.p_value:.1g}): moved by that, {falls}"
         f"{lateness.move_text(problem.named_values(minimum.x))}. {remedy}"
+        f"{remaining_text(problem, minimum, lateness, results)}"
     )
     return tuple(SignalWarning(name, "delayed-output", text) for name in names[:1])
 

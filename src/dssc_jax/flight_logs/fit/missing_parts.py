@@ -64,6 +64,7 @@ class Part(NamedTuple):
         sizes: Flight -> first sizes.
         is_positive: Whether only positive sizes are possible, whose logarithms are fitted.
         is_possible: (Flight, size) -> whether the size means something on this flight.
+        choices: Number of such parts of which it is the likeliest.
     """
 
     code: WarningCode
@@ -74,6 +75,7 @@ class Part(NamedTuple):
     sizes: Callable[[Flight], tuple[float, ...]]
     is_positive: bool
     is_possible: Callable[[Flight, float], bool]
+    choices: int = 1
 
 
 def quadratic_drag(speed: np.ndarray) -> np.ndarray:

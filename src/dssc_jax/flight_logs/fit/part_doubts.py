@@ -16,10 +16,12 @@ from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refits import Refit
 from dssc_jax.flight_logs.fit.refusals import MUCH_LARGER, Explained, signal_and_unit
 from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE
+from dssc_jax.flight_logs.fit.wind_steps import fitted_wind_step, lacks_wind_step
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 NEARLY = 10.0  # difference of twice the log likelihood (Kass and Raftery's very strong evidence) between two causes
 LARGE_PART = 0.5  # share of a refused residual that may be left if a part explains it
+EXPLAINED = 0.7  # share of a doubtful residual that is left if a part explains it, whatever it moves
 DELAYS = (LATE_OUTPUT, LATE_COMMAND)
 
 
@@ -56,13 +58,17 @@ def part_doubts(
         return NO_DOUBTS
     flight = flown(problem, minimum)
     parts = lacking_parts(problem.study)
-    without = fit_without_part(problem, minimum, len(parts))
+    has_step = lacks_wind_step(problem.study)
+    without = fit_without_part(problem, minimum, len(parts) + has_step)
+    fits = [fitted_part(problem, without, flight, part) for part in parts]
+    if has_step:
+        fits.append(fitted_wind_step(problem, without, flight))
     certain = []
-    for part in parts:
-        fit = fitted_part(problem, without, flight, part)
+    for fit in fits:
         if fit is None or not fit.p_value < SIGNIFICANCE:
             continue
-        if largest_move(problem, minimum, fit, deviations) > LARGE_MOVE:
+        is_cause = result.is_doubtful and fit.residual < EXPLAINED * result.residual
+        if is_cause or largest_move(problem, minimum, fit, deviations) > LARGE_MOVE:
             certain.append(fit)
     if not certain:
         return NO_DOUBTS
@@ -140,10 +146,15 @@ def doubt_of(
             f"{output}: the cause is probably another part, which this one resembles. Estimates are wrong by more than "
             "their intervals"
         )
-    else:
+    elif largest_move(problem, minimum, best, deviations) > LARGE_MOVE:
         text = (
             f"{explains}: with it, {name} is about {problem.values(best.x)[place]:.4g} in place of "
             f"{problem.values(minimum.x)[place]:.4g}{others}. Estimates are wrong by more than their intervals. "
             f"{best.part.remedy}"
+        )
+    else:
+        text = (
+            f"{explains}: with it, this falls from {result.residual:.3g} to {best.residual:.3g} {output} rms, and no "
+            f"estimate moves by more than its standard deviation{others}. {best.part.remedy}"
         )
     return SignalWarning(signal, best.part.code, text)

@@ -83,9 +83,11 @@ class PartFit(NamedTuple):
         part: The part.
         size: Its size.
         x: Coordinates of the numbers with it, shape (p,).
-        gain: How much it adds to twice the logarithm of the likelihood.
+        gain: How much it adds to twice the logarithm of the likelihood, less twice that of the parts from which it is
+            chosen.
         p_value: Largest probability of as large a gain by one of the parts, if none is there.
         residual: Root mean square of the residual with it.
+        noise: Noise of that residual.
     """
 
     part: Part
@@ -94,6 +96,7 @@ class PartFit(NamedTuple):
     gain: float
     p_value: float
     residual: float
+    noise: Noise
 
 
 class PartProblem:
@@ -250,8 +253,10 @@ def fitted_part(problem: FitProblem, without: FitWithoutPart, flight: Flight, pa
     columns = part_problem.columns(point)
     products, log_det = weighted_products(noise, readings.times, columns)
     gain = 2.0 * (likelihood_of_cost(readings, linear_cost(products), log_det) - without.likelihood)
-    p_value = without.candidates * float(stats.chi2.sf(max(gain, 0.0), 1))
+    p_value = without.candidates * part.choices * float(stats.chi2.sf(max(gain, 0.0), 1))
     size = part_problem.size(point)
     if not math.isfinite(gain) or not part.is_possible(flight, size):
         return None
-    return PartFit(part, size, point.x, gain, min(1.0, p_value), rms(columns[:, 0]))
+    return PartFit(
+        part, size, point.x, gain - 2.0 * math.log(part.choices), min(1.0, p_value), rms(columns[:, 0]), noise
+    )

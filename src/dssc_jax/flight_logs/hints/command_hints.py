@@ -165,8 +165,9 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
     if min(difference, rms((logged - replayed)[latter_half])) > ANOTHER * deviation:
         text = (
             f"is not what the analysed controller gives for the logged measurements: they differ by {difference:.4g} "
-            f"{unit} rms, and the logged one varies by {deviation:.4g}. Other gains or limits flew, or a measurement "
-            "is not what the controller got: compare units, offsets, times and gaps of y and y'"
+            f"{unit} rms, and the logged one varies by {deviation:.4g}. The cause is open: other gains, limits or "
+            "another rate of the controller flew, or a measurement is not what the controller got. Compare these, and "
+            "units, offsets, times and gaps of y and y'"
         )
         return Hint("another-command", text)
     return None if rounding is None else rounded_hint(rounding, unit)

@@ -1,0 +1,44 @@
+"""What a delay leaves of a residual: more than noise, and there is another cause beside it."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from dssc_jax.flight_logs.fit.least_squares import FitProblem
+from dssc_jax.flight_logs.fit.minima import Minimum
+from dssc_jax.flight_logs.fit.refusals import MUCH_LARGER, Explained, signal_and_unit
+from dssc_jax.flight_logs.fit.shifts import Delay
+from dssc_jax.flight_logs.hints.conversions import rms
+
+
+def remaining_text(problem: FitProblem, minimum: Minimum, delay: Delay, results: Sequence[Explained]) -> str:
+    """A sentence about what a delay leaves of the residual of each channel that is shifted; empty if it is noise.
+
+    Shifts are whole samples. What the remaining part of one may leave, the change of the output in that time, counts as
+    noise.
+
+    Args:
+        problem: The problem.
+        minimum: The minimum without the delay.
+        delay: The delay.
+        results: How well the study describes each channel without the delay; empty: nothing is said.
+    """
+    predicted, _ = problem.predict(problem.values(minimum.x), problem.log.commands)
+    samples = delay.time / problem.study.loop.sample_time
+    sentences = []
+    shifted = dict(zip(delay.channels, zip(delay.unshifted, delay.shifted, strict=True), strict=True))
+    for place, (readings, result) in enumerate(zip(problem.readings, results, strict=False)):
+        if readings.channel not in shifted or not result.is_doubtful:
+            continue
+        before, after = shifted[readings.channel]
+        by_rounding = abs(samples - round(samples)) * rms(np.diff(predicted[readings.channel]))
+        if not after > math.hypot(MUCH_LARGER * result.limit, by_rounding):
+            continue
+        name, unit = signal_and_unit(problem, place)
+        sentences.append(
+            f". But {100.0 * after / before:.2g} % of the residual of {name} remain with it, {after:.3g} {unit} rms, "
+            f"where noise explains {result.noise:.3g} {unit}: the delay is at most a part of the cause, and another "
+            "one is likely, which it may only resemble"
+        )
+    return "".join(sentences)
