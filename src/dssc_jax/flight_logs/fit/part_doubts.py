@@ -4,6 +4,7 @@ A delay and a lag of the same time move the outputs alike, so a delay that has b
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 NEARLY = 10.0  # difference of twice the log likelihood (Kass and Raftery's very strong evidence) between two causes
 LARGE_PART = 0.5  # share of a refused residual that may be left if a part explains it
+SMALL_PART = 0.05  # share of a residual that is left if a part explains nearly all of it, whatever the noise
 EXPLAINED = 0.7  # share of a doubtful residual that is left if a part explains it, whatever it moves
 DELAYS = (LATE_OUTPUT, LATE_COMMAND)
 
@@ -42,55 +44,94 @@ class PartDoubts(NamedTuple):
 NO_DOUBTS = PartDoubts()
 
 
+class PartCauses(NamedTuple):
+    """The parts that may be the cause of a residual.
+
+    Args:
+        best: The fit with the best part.
+        rivals: The fits that explain the flight nearly as well or better, with a part or a delay, the best first.
+        exceeds_delays: Whether the best part explains it clearly better than any delay.
+    """
+
+    best: PartFit
+    rivals: list[PartFit]
+    exceeds_delays: bool
+
+
+def part_causes(
+    problem: FitProblem,
+    minimum: Minimum,
+    starts: tuple[np.ndarray, ...],
+    has_delay: bool,
+    matters: Callable[[PartFit], bool],
+) -> PartCauses | None:
+    """The parts of a study of one channel that may be the cause of its residual; None if there are none.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+        starts: Coordinates of the numbers from which fits with a part begin, shape (p,) each.
+        has_delay: Whether a delay has been told: then a part that explains far less is no cause.
+        matters: Whether a certain part is worth a word.
+    """
+    if len(problem.study.loop.channels) > 1 or len(problem.readings) != 1 or problem.count.is_stopped:
+        return None
+    flight = flown(problem, minimum)
+    parts = lacking_parts(problem.study)
+    has_step = lacks_wind_step(problem.study)
+    without = fit_without_part(problem, minimum, len(parts) + has_step, starts)
+    fits = [fitted_part(problem, without, flight, part) for part in parts]
+    if has_step:
+        fits.append(fitted_wind_step(problem, without, flight))
+    certain = [fit for fit in fits if fit is not None and fit.p_value < SIGNIFICANCE and matters(fit)]
+    if not certain:
+        return None
+    delays = []
+    for part in DELAYS:
+        fit = fitted_part(problem, without, flight, part)
+        if fit is not None:
+            delays.append(fit)
+    best = max(certain, key=lambda fit: fit.gain)
+    delay_gain = max((fit.gain for fit in delays), default=-math.inf)
+    if has_delay and best.gain < delay_gain - NEARLY:
+        return None
+    rivals = [fit for fit in (*certain, *delays) if fit is not best and fit.gain > best.gain - NEARLY]
+    rivals.sort(key=lambda fit: -fit.gain)
+    return PartCauses(best, rivals, best.gain > delay_gain + NEARLY)
+
+
 def part_doubts(
     problem: FitProblem, minimum: Minimum, deviations: np.ndarray, result: Explained, has_delay: bool
 ) -> PartDoubts:
-    """The doubts about parts that the study lacks, in a study of one channel, with the remedy.
+    """The doubts about parts that the study lacks, with the remedy.
+
+    A part matters if it moves a fitted number, or explains a doubtful residual.
 
     Args:
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
         deviations: Standard deviations of the fitted coordinates, shape (f,).
         result: How well the study describes the readings of the first channel.
-        has_delay: Whether a delay has been told, which then is compared with the parts.
+        has_delay: Whether a delay has been told.
     """
-    if len(problem.study.loop.channels) > 1 or len(problem.readings) != 1 or problem.count.reason:
+
+    def matters(fit: PartFit) -> bool:
+        """Whether the part changes what the fit says."""
+        explains = result.is_doubtful and fit.residual < EXPLAINED * result.residual
+        return explains or largest_move(problem, minimum, fit, deviations) > LARGE_MOVE
+
+    causes = part_causes(problem, minimum, (minimum.x,), has_delay, matters)
+    if causes is None:
         return NO_DOUBTS
-    flight = flown(problem, minimum)
-    parts = lacking_parts(problem.study)
-    has_step = lacks_wind_step(problem.study)
-    without = fit_without_part(problem, minimum, len(parts) + has_step)
-    fits = [fitted_part(problem, without, flight, part) for part in parts]
-    if has_step:
-        fits.append(fitted_wind_step(problem, without, flight))
-    certain = []
-    for fit in fits:
-        if fit is None or not fit.p_value < SIGNIFICANCE:
-            continue
-        is_cause = result.is_doubtful and fit.residual < EXPLAINED * result.residual
-        if is_cause or largest_move(problem, minimum, fit, deviations) > LARGE_MOVE:
-            certain.append(fit)
-    if not certain:
-        return NO_DOUBTS
-    delays = []
-    for part in DELAYS if has_delay else ():
-        fit = fitted_part(problem, without, flight, part)
-        if fit is not None:
-            delays.append(fit)
-    best = max(certain, key=lambda fit: fit.gain)
-    delay_gain = max((fit.gain for fit in delays), default=-math.inf)
-    if best.gain < delay_gain - NEARLY:
-        return NO_DOUBTS
-    rivals = [fit for fit in (*certain, *delays) if fit is not best and fit.gain > best.gain - NEARLY]
-    rivals.sort(key=lambda fit: -fit.gain)
-    warning = doubt_of(problem, minimum, deviations, result, best, rivals)
-    return PartDoubts((warning,), best.residual, best.gain > delay_gain + NEARLY)
+    warning = doubt_of(problem, minimum, deviations, result, causes)
+    return PartDoubts((warning,), causes.best.residual, causes.exceeds_delays)
 
 
 def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, result: Explained, has_delay: bool) -> PartDoubts:
     """The doubts about parts where a fit is refused, if one leaves far less of the residual.
 
     Gusts that the study declares may make most of the residual, whatever the part, so likelihood alone decides there.
+    The minimum may be far from the flight's numbers, so fits begin at the medians of the laws, too.
 
     Args:
         problem: The problem, with the noise of the minimum.
@@ -98,11 +139,41 @@ def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, result: Explai
         result: How well the study describes the readings of the first channel.
         has_delay: Whether a delay has been told.
     """
-    deviations = np.sqrt(np.diag(np.linalg.pinv(minimum.equations.information)))[problem.fitted]
-    doubts = part_doubts(problem, minimum, deviations, result, has_delay)
-    if not doubts.warnings or declares_noise(problem.study):
-        return doubts
-    return doubts if doubts.residual < LARGE_PART * Refit(problem, minimum).residual(0) else NO_DOUBTS
+    residual = Refit(problem, minimum).residual(0)
+    has_gusts = declares_noise(problem.study)
+
+    def matters(fit: PartFit) -> bool:
+        """Whether the part explains far more."""
+        return has_gusts or fit.residual < LARGE_PART * residual
+
+    starts = (minimum.x, np.zeros_like(minimum.x))
+    causes = part_causes(problem, minimum, starts, has_delay, matters)
+    if causes is None:
+        return NO_DOUBTS
+    warning = doubt_of_refusal(problem, result, causes)
+    return PartDoubts((warning,), causes.best.residual, causes.exceeds_delays)
+
+
+def doubt_of_refusal(problem: FitProblem, result: Explained, causes: PartCauses) -> SignalWarning:
+    """The warning of the best part where a fit is refused: what it leaves of the residual.
+
+    Args:
+        problem: The problem.
+        result: How well the study describes the readings without a part.
+        causes: The parts.
+    """
+    signal, _ = signal_and_unit(problem, 0)
+    output, command = problem.study.units[0].output, problem.study.units[0].command
+    best = causes.best
+    text = (
+        f"{part_text(best.part, best.size, output, command)}, which the study lacks, leaves {best.residual:.3g} "
+        f"{output} rms of the residual of {signal} (p = {best.p_value:.1g})"
+    )
+    for rival in causes.rivals:
+        text += f"; {part_text(rival.part, rival.size, output, command)} leaves {rival.residual:.3g} {output}"
+    if best.residual > max(MUCH_LARGER * result.limit, SMALL_PART * result.residual):
+        text += ". That is still more than noise explains: another part may resemble this one"
+    return SignalWarning(signal, best.part.code, f"{text[0].upper()}{text[1:]}. {best.part.remedy}")
 
 
 def largest_move(problem: FitProblem, minimum: Minimum, fit: PartFit, deviations: np.ndarray) -> float:
@@ -115,8 +186,7 @@ def doubt_of(
     minimum: Minimum,
     deviations: np.ndarray,
     result: Explained,
-    best: PartFit,
-    rivals: list[PartFit],
+    causes: PartCauses,
 ) -> SignalWarning:
     """The warning of the best part, with those that explain the flight nearly as well.
 
@@ -125,22 +195,22 @@ def doubt_of(
         minimum: The minimum without a part.
         deviations: Standard deviations of the fitted coordinates, shape (f,).
         result: How well the study describes the readings.
-        best: The fit with the best part.
-        rivals: The fits with the others, the best first.
+        causes: The parts.
     """
+    best = causes.best
     place = problem.fitted[int(np.argmax(np.abs(best.x - minimum.x)[problem.fitted] / deviations))]
     signal, _ = signal_and_unit(problem, 0)
     output, command = problem.study.units[0].output, problem.study.units[0].command
     name = problem.names[place]
     others = ""
-    for rival in rivals:
+    for rival in causes.rivals:
         words = part_text(rival.part, rival.size, output, command)
         others += f"; {words} explains it nearly as well, with a {name} of {problem.values(rival.x)[place]:.4g}"
     words = part_text(best.part, best.size, output, command)
     explains = (
         f"{words}, which the study lacks, would explain part of the residual of {signal} (p = {best.p_value:.1g})"
     )
-    if best.residual > MUCH_LARGER * result.limit:
+    if best.residual > max(MUCH_LARGER * result.limit, SMALL_PART * result.residual):
         text = (
             f"{explains}{others}. But {best.residual:.3g} {output} rms remain, where noise explains {result.noise:.3g} "
             f"{output}: the cause is probably another part, which this one resembles. Estimates are wrong by more than "

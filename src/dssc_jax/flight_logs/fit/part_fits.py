@@ -50,21 +50,26 @@ class FitWithoutPart(NamedTuple):
         likelihood: Logarithm of the likelihood there, under its noise.
         simulated: What simulated disturbances and winds add to the outputs; None if the study has none.
         candidates: Number of parts that are tried.
+        starts: Coordinates of the numbers from which fits with a part begin, shape (p,) each.
     """
 
     minimum: Minimum
     likelihood: float
     simulated: np.ndarray | None
     candidates: int
+    starts: tuple[np.ndarray, ...]
 
 
-def fit_without_part(problem: FitProblem, minimum: Minimum, candidates: int) -> FitWithoutPart:
+def fit_without_part(
+    problem: FitProblem, minimum: Minimum, candidates: int, starts: tuple[np.ndarray, ...]
+) -> FitWithoutPart:
     """What fits with one of several candidates are compared with.
 
     Args:
         problem: The problem of one channel, with the noise of its minimum.
         minimum: The minimum.
         candidates: Number of parts that are tried.
+        starts: Coordinates of the numbers from which fits with a part begin, shape (p,) each.
     """
     (readings,) = problem.readings
     (columns,) = problem.columns(minimum.x)
@@ -73,7 +78,7 @@ def fit_without_part(problem: FitProblem, minimum: Minimum, candidates: int) -> 
     simulated = problem.disturbances.simulate(
         problem.study, problem.names, problem.values(minimum.x), problem.log.commands
     )
-    return FitWithoutPart(minimum, likelihood, simulated, candidates)
+    return FitWithoutPart(minimum, likelihood, simulated, candidates, starts)
 
 
 class PartFit(NamedTuple):
@@ -156,7 +161,7 @@ class PartProblem:
         for size in sizes:
             point = PartPoint(x, size, 0.0)
             products = self.products(noise, self.residual_columns(point)) / variance
-            step = bounded_step(products, self.problem.prior, x)
+            step = bounded_step(products, self.problem.prior, x, len(x))
             cost = linear_cost(products) if np.isfinite(products).all() else math.inf
             costs.append(cost)
             points.append(point._replace(x=x + step))
@@ -170,7 +175,8 @@ class PartProblem:
             products = self.products(noise, self.columns(point)) / variance
             if not np.isfinite(products).all():
                 break
-            step = bounded_step(products, prior, np.append(point.x, 0.0))
+            bounded = len(point.x) + self.part.is_positive  # a size of either sign enters in proportion
+            step = bounded_step(products, prior, np.append(point.x, 0.0), bounded)
             for _ in range(HALVINGS):
                 trial = point._replace(x=point.x + step[:-1], scaled=point.scaled + float(step[-1]))
                 if self.is_possible(trial):
@@ -214,13 +220,14 @@ def part_problem_of(problem: FitProblem, flight: Flight, part: Part) -> PartProb
     return kind(problem, flight, part)
 
 
-def bounded_step(products: np.ndarray, prior: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The step of Gauss and Newton by products of the residual and its slopes, of at most 2 in any coordinate.
+def bounded_step(products: np.ndarray, prior: np.ndarray, x: np.ndarray, bounded: int) -> np.ndarray:
+    """The step of Gauss and Newton by products of the residual and its slopes, of at most 2 in bounded coordinates.
 
     Args:
         products: The products over the variance, shape (1 + p, 1 + p).
         prior: Information of the laws that count, shape (p,).
         x: Coordinates, shape (p,).
+        bounded: How many of the first coordinates are bounded.
     """
     if not np.isfinite(products).all():
         return np.zeros(len(prior))
@@ -228,7 +235,7 @@ def bounded_step(products: np.ndarray, prior: np.ndarray, x: np.ndarray) -> np.n
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), TINY))
     scaled = information * np.outer(scale, scale)
     step = scale * np.linalg.lstsq(scaled, scale * (products[1:, 0] - prior * x), rcond=1e-12)[0]
-    return step * min(1.0, 2.0 / max(float(np.abs(step[: len(x)]).max()), TINY))
+    return step * min(1.0, 2.0 / max(float(np.abs(step[:bounded]).max()), TINY))
 
 
 def fitted_part(problem: FitProblem, without: FitWithoutPart, flight: Flight, part: Part) -> PartFit | None:
@@ -243,7 +250,8 @@ def fitted_part(problem: FitProblem, without: FitWithoutPart, flight: Flight, pa
     (readings,) = problem.readings
     noise, variance = problem.noises[0], problem.variances[0]
     part_problem = part_problem_of(problem, flight, part)
-    point = part_problem.minimum(part_problem.start(without.minimum.x), noise, variance)
+    points = [part_problem.minimum(part_problem.start(x), noise, variance) for x in without.starts]
+    point = min(points, key=lambda point: part_problem.cost(point, noise, variance))
     if without.minimum.cost - part_problem.cost(point, noise, variance) < LEAST_SCREENED:
         return None
     if not part.is_possible(flight, part_problem.size(point)):

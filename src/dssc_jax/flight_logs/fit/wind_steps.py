@@ -20,7 +20,7 @@ from dssc_jax.flight_logs.fit.missing_parts import PROBE, Flight, Part, force_si
 from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, fitted_part
 from dssc_jax.flight_logs.fit.shifts import linear_cost
 from dssc_jax.flight_logs.hints.conversions import rms
-from dssc_jax.statistics.correlated_noise import Noise, weighted_products
+from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
 from dssc_jax.study import Study
 
 TIMES = 32  # that are compared at first
@@ -43,22 +43,39 @@ def pushed_from(begin: int, flight: Flight, size: float) -> np.ndarray:
 def fitted_wind_step(problem: FitProblem, without: FitWithoutPart, flight: Flight) -> PartFit | None:
     """Fit a log with a force that begins at the likeliest time; None if it does not explain the residual.
 
-    The time is that under the noise of the fit without the force, then under that of the fit with it.
+    The time is that under the noise of the fit without the force, or under white noise, then under that of the fit with
+    the force.
 
     Args:
         problem: The problem of one channel, with the noise of its minimum.
         without: The fit without a part.
         flight: The flight.
     """
-    samples = len(flight.commands)
-    if samples < LEAST_SAMPLES:
+    if len(flight.commands) < LEAST_SAMPLES:
         return None
+    fits = []
+    for weighted in (problem, with_noise(problem, WHITE)):  # a step of the output is likely, too, if noise may drift
+        fit = fit_from(weighted, problem, without, flight)
+        if fit is not None:
+            fits.append(fit)
+    return max(fits, key=lambda fit: fit.gain, default=None)
+
+
+def fit_from(weighted: FitProblem, problem: FitProblem, without: FitWithoutPart, flight: Flight) -> PartFit | None:
+    """Fit a log with a force, from the time on that is the likeliest under a first noise; None as above.
+
+    Args:
+        weighted: The problem with the first noise.
+        problem: The problem with the noise of its minimum.
+        without: The fit without a part.
+        flight: The flight.
+    """
+    samples = len(flight.commands)
     first = math.ceil(MARGIN * samples)
     begins = np.unique(np.linspace(first, samples - 1 - first, TIMES).round().astype(int))
-    begin = likeliest_begin(problem, without.minimum.x, flight, begins)
-    reach = math.ceil(samples / TIMES)
-    weighted = problem
     x = without.minimum.x
+    begin = likeliest_begin(weighted, x, flight, begins)
+    reach = math.ceil(samples / TIMES)
     best = None
     for _ in range(ROUNDS):
         around = np.arange(max(first, begin - reach), min(samples - 1 - first, begin + reach) + 1)
