@@ -87,7 +87,7 @@ def doubled_rows(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     usual = float(np.median(sizes))
     is_equal = (values[1:] == values[:-1]).all(axis=1) & (np.diff(time) > 0.0)
     around = np.zeros(len(sizes))
-    around[1:-1] = np.where(sizes[:-2] * sizes[2:] > 0.0, sizes[:-2] + sizes[2:], 0.0)
+    around[1:-1] = np.where(np.minimum(sizes[:-2], sizes[2:]) > 0.0, sizes[:-2] + sizes[2:], 0.0)
     return np.append(False, is_equal & (around > usual))
 
 
@@ -111,7 +111,9 @@ def resolution(values: np.ndarray) -> float:
     """The last decimal digit of values, or the step of which all are multiples, if larger; 0: they have all digits."""
     digit = 0.0
     for decimals in range(MOST_DECIMALS):
-        if np.allclose(np.round(values, decimals), values, rtol=1e-13, atol=0.0):
+        with np.errstate(over="ignore", invalid="ignore"):  # digits of huge values overflow, and are none
+            rounded = np.round(values, decimals)
+        if np.isfinite(rounded).all() and np.allclose(rounded, values, rtol=1e-13, atol=0.0):
             digit = 10.0**-decimals
             break
     levels = np.unique(values)
