@@ -270,7 +270,7 @@ def show_fit(summary: Mapping[str, Any], warnings: Sequence[SignalWarning]) -> N
     for channel, noise in summary["noise"].items():
         label = f"residual of {channel}" if channel else "residual"
         show_line(residual_text(label, noise, summary["noise_unit"][channel]))
-    for line in (*search_lines(summary), *kept_lines(summary["kept"])):
+    for line in (*search_lines(summary), *untried_lines(summary["untried_parts"]), *kept_lines(summary["kept"])):
         show_line(line)
     show_warnings(warnings)
     if summary["file"]:
@@ -303,6 +303,20 @@ def search_lines(summary: Mapping[str, Any]) -> list[str]:
     if len(minima) > MOST_MINIMA:
         lines.append(f"others end in {len(minima) - MOST_MINIMA} more minima, which --json lists")
     return lines
+
+
+def untried_lines(reason: str) -> list[str]:
+    """The line on parts that the study may lack and that were not tried.
+
+    Args:
+        reason: Why; empty: they were tried, and there is no line.
+    """
+    if not reason:
+        return []
+    return [
+        f"not tried, because {reason}: parts that it may lack, such as drag, friction, a wind, a lag, limits or a gain "
+        "that changes. Without a warning they may be there all the same"
+    ]
 
 
 def kept_lines(widths: Mapping[str, float | None]) -> list[str]:

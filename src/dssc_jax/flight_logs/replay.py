@@ -28,6 +28,7 @@ from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
 from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.references import compared_references, study_references
+from dssc_jax.flight_logs.hints.repeated_rows import repeated_rows_hint
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
 from dssc_jax.flight_logs.hints.reset_hints import reset_hints
 from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
@@ -194,6 +195,9 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     if doubt_of_times:
         is_counted = doubt_of_times.startswith("counts")
         factors["t"] = Hint("row-numbers" if is_counted else "repeated-times", doubt_of_times)
+    repeated_rows = repeated_rows_hint(log.columns)
+    if repeated_rows is not None:
+        factors["t"] = repeated_rows
     for index, (channel, units, signals) in enumerate(zip(loop.channels, study.units, channels, strict=True)):
         logged |= {signal_name(channel, name): values for name, values in signals.items()}
         followed_text = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""

@@ -45,6 +45,7 @@ WarningCode: TypeAlias = Literal[
     "output-likeness",
     "rare-command",
     "reference-slope",
+    "repeated-rows",
     "repeated-times",
     "rough-squares",
     "rounded-command",

@@ -1,8 +1,12 @@
 """Parts that a study lacks: small ones move its numbers and hardly show in the residual."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from dssc_jax.console.flight import untried_lines
 from dssc_jax.flight_logs.fit import part_doubts
 from dssc_jax.flight_logs.fit.actuated_commands import actuated_commands
 from dssc_jax.flight_logs.fit.fit import fit_log
@@ -276,6 +280,18 @@ def test_a_refusal_in_gusts_names_the_limit():
 @pytest.mark.long
 def test_declared_gusts_are_no_part():
     assert gusty_codes(1.0) == []
+
+
+def test_an_answer_says_that_parts_were_not_tried(predictions):
+    u = commands_of(0)
+    fitted = fit_log(linear(), log_of(flown(no_force, 0, u), u), predictions=predictions)
+    assert fitted.summary()["untried_parts"] == ""
+    assert untried_lines("") == []
+    vehicle = SimpleNamespace(loop=SimpleNamespace(channels=("x", "y")))
+    reason = replace(fitted, study=vehicle).untried_parts
+    assert reason == "the study has several channels"
+    assert untried_lines(reason)[0].startswith("not tried, because the study has several channels: parts that it may")
+    assert replace(fitted, cut="at the limit").untried_parts == "the search ended early"
 
 
 def test_the_speed_of_friction_in_gusts_is_that_which_the_log_shows():

@@ -144,6 +144,13 @@ class Fitted:
         return outside if len(set(outside.values())) == 1 else dict.fromkeys(outside, "")
 
     @property
+    def untried_parts(self) -> str:
+        """Why parts that the study may lack were not tried; empty: they were."""
+        if len(self.study.loop.channels) > 1:
+            return "the study has several channels"
+        return "the search ended early" if self.cut else ""
+
+    @property
     def warnings(self) -> tuple[SignalWarning, ...]:
         """The reasons to doubt the estimates: all doubts, estimates outside their laws, and a search that was cut."""
         warnings = list(self.doubts)
@@ -205,6 +212,7 @@ class Fitted:
             "starts_here": self.starts_here,
             "simulations": self.simulations,
             "search_cut": self.cut,
+            "untried_parts": self.untried_parts,
             "other_minima": [rival._asdict() for rival in self.rivals],
             "warned": bool(self.warnings),
             "warnings": [asdict(warning) for warning in self.warnings],
