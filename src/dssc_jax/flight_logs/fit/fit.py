@@ -41,13 +41,15 @@ from dssc_jax.flight_logs.fit.refusals import (
     Explained,
     NotIdentifiable,
     Unexplained,
+    conversion_hint,
     doubts,
     explain,
     noise_doubts,
-    require_description,
+    refusal_text,
     require_identifiable,
     require_unique_minimum,
     strength_hint,
+    unexplained_place,
 )
 from dssc_jax.flight_logs.fit.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.fit.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
@@ -263,16 +265,28 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
     Raises:
         Unexplained: It is more; the message has the likely causes.
     """
-    try:
-        require_description(problem, best.x, results)
-    except Unexplained as refusal:
-        causes = column_doubts(problem, best) or refusal_causes(problem, best, results)
-        reasons = "".join(f". {doubt.text}" for doubt in causes) or strength_hint(problem.study)
-        raise Unexplained(f"{refusal}{reasons}") from None
+    place = unexplained_place(results)
+    if place is None:
+        return
+    causes = column_doubts(problem, best)
+    is_explained = False
+    if not causes:
+        causes, is_explained = refusal_causes(problem, best, results)
+    hint = "" if is_explained else conversion_hint(problem, best.x, place)
+    reasons = "".join(f". {doubt.text}" for doubt in causes) or strength_hint(problem.study)
+    raise Unexplained(f"{refusal_text(problem, place, results[place])}{hint}{reasons}")
 
 
-def refusal_causes(problem: FitProblem, best: Minimum, results: list[Explained]) -> tuple[SignalWarning, ...]:
-    """Likely causes of a residual that is more than noise, beside other columns."""
+def refusal_causes(
+    problem: FitProblem, best: Minimum, results: list[Explained]
+) -> tuple[tuple[SignalWarning, ...], bool]:
+    """Likely causes of a residual that is more than noise, beside other columns; whether one of them leaves only noise.
+
+    Args:
+        problem: The least-squares problem of the log.
+        best: Its minimum.
+        results: How well each channel is described.
+    """
     doubts_of_outliers = outlier_doubts(problem, best.x)
     doubts_of_dropouts = dropout_doubts(problem, best)
     doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, best, results)
@@ -284,12 +298,13 @@ def refusal_causes(problem: FitProblem, best: Minimum, results: list[Explained])
     doubts_of_start = start_speed_doubts(problem, best, parts.residual)
     if doubts_of_start:
         parts = NO_DOUBTS
-    return (
+    causes = (
         *(doubts_of_start or output_start_doubts(problem, best.x, results)),
         *doubts_of_outliers,
         *doubts_of_delays,
         *parts.warnings,
     )
+    return causes, parts.residual <= results[0].limit
 
 
 def fitted_minimum(

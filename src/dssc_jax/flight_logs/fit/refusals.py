@@ -214,18 +214,32 @@ def signal_and_unit(problem: FitProblem, place: int) -> tuple[str, str]:
     return signal_name(problem.study.loop.channels[channel], "y"), problem.study.units[channel].output
 
 
-def require_explained(channel: str, unit: str, result: Explained, hint: str = "") -> None:
-    """Require that the residual of a channel, whose output has a unit, can be noise; a hint ends the refusal."""
-    if result.least_unexplained <= MOST_UNEXPLAINED:
-        return
+def unexplained_place(results: Sequence[Explained]) -> int | None:
+    """Position of the first channel whose residual is more than noise; None: there is none."""
+    for place, result in enumerate(results):
+        if result.least_unexplained > MOST_UNEXPLAINED:
+            return place
+    return None
+
+
+def refusal_text(problem: FitProblem, place: int, result: Explained) -> str:
+    """Why a fit is refused whose residual is more than noise, without the causes.
+
+    Args:
+        problem: The least-squares problem of the log.
+        place: Position of the channel's readings.
+        result: How well the channel is described.
+    """
+    readings = problem.readings[place]
+    channel = problem.study.loop.channels[readings.channel]
+    unit = problem.study.units[readings.channel].output
     name = f"y of {channel}" if channel else "y"
-    raise Unexplained(
+    return (
         f"the study does not describe this flight: the residual of {name} is {result.residual:.3g} {unit} rms, "
         f"noise explains {result.noise:.3g} {unit} of it, and {100 * result.unexplained:.3g} % of the output's "
         f"variance ({result.output:.3g} {unit})^2 is left unexplained, with {100 * EXPLAINED_CONFIDENCE:g} % "
         f"confidence at least {100 * result.least_unexplained:.3g} %; at most {100 * MOST_UNEXPLAINED:g} % is "
         f"accepted. {REMEDY}; give the study what acts on the flight (wind, disturbance, sensor noise), or wider laws"
-        f"{hint}"
     )
 
 
@@ -237,24 +251,6 @@ def strength_hint(study: Study) -> str:
         ". The study's random disturbances are part of that noise. They exceed what is accepted in about one of 20 "
         "flights at most, so this one may have met stronger ones: give their strength (std, turbulence) a larger value"
     )
-
-
-def require_description(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> None:
-    """Require that the residuals at coordinates can be noise.
-
-    Args:
-        problem: The least-squares problem of the log.
-        x: The coordinates of the numbers, shape (p,).
-        results: How well each channel is described there.
-
-    Raises:
-        Unexplained: a residual is more than noise.
-    """
-    for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
-        if result.least_unexplained > MOST_UNEXPLAINED:
-            channel = problem.study.loop.channels[readings.channel]
-            unit = problem.study.units[readings.channel].output
-            require_explained(channel, unit, result, conversion_hint(problem, x, place))
 
 
 def direction_text(names: Sequence[str], direction: np.ndarray) -> str:

@@ -1,0 +1,45 @@
+"""Parts that a study lacks, where they leave so much that the fit is refused: named, with their true sizes."""
+
+import re
+
+import numpy as np
+import pytest
+
+from dssc_jax.flight_logs.fit.fit import fit_log
+from dssc_jax.flight_logs.fit.refusals import Unexplained
+from dssc_jax.flight_logs.fit.search_limits import SearchLimits
+from tests.flight_logs.fit.test_fit import DT, linear, log_of
+from tests.flight_logs.fit.test_missing_parts import commands_of, flown, no_force
+
+NOISE = 0.001
+
+
+def refusal(flown_commands, logged, **options):
+    """The message that refuses the fit of a flight with other commands than the logged ones."""
+    with pytest.raises(Unexplained) as problem:
+        fit_log(linear(), log_of(flown(no_force, 1, flown_commands), logged), **options)
+    return str(problem.value)
+
+
+def remaining(text):
+    """The residual that the named part leaves [m rms]."""
+    return float(re.search(r"leaves (\S+) m rms", text)[1])
+
+
+@pytest.mark.parametrize("simulations", [2000, 60])
+def test_a_large_constant_force_is_named_however_the_search_ended(simulations):
+    """The minimum without it is far from the flight's numbers, and looks like another unit of length."""
+    u = commands_of(1)
+    text = refusal(u + 2.0, u, limits=SearchLimits(simulations))
+    assert float(re.search(r"A constant force \((\S+) m/s, as of a steady wind\)", text)[1]) == pytest.approx(2.0, 0.01)
+    assert remaining(text) < 1.1 * NOISE
+    assert "feet" not in text
+
+
+def test_a_large_force_that_begins_in_flight_is_named_with_its_time():
+    u = commands_of(1)
+    text = refusal(u - 4.0 * (DT * np.arange(len(u)) >= 2.0), u)
+    size, begin = re.search(r"A constant force \((\S+) m/s, as of a wind\) that begins at (\S+) s", text).groups()
+    assert float(size) == pytest.approx(-4.0, 0.01)
+    assert float(begin) == pytest.approx(2.0, abs=DT)
+    assert remaining(text) < 1.2 * NOISE
