@@ -8,6 +8,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit.fit import fit_log
+from dssc_jax.flight_logs.hints.replayed_columns import column_hints
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import replay_log
 
@@ -95,6 +96,35 @@ def test_an_error_in_place_of_the_output_is_named(study, sign, words):
     codes, text = told(study, {**columns, "y": sign * (PULSES - columns["y"])})
     assert codes == {"y": "exchanged-columns"}
     assert words in text
+
+
+class FeedforwardReplay:
+    """A replay of the controller u = y_ref' + 2 (y_ref - y), as that of a position by commands of a velocity."""
+
+    index = 0
+
+    def __init__(self, study):
+        self.study = study
+        self.reference = np.array([0.5 * np.sin(TIME), 0.5 * np.cos(TIME), -0.5 * np.sin(TIME)])
+
+    def command(self, signals):
+        return self.reference[1] + 2.0 * (signals["y_ref"] - signals["y"])
+
+
+@pytest.mark.parametrize("has_rate", [False, True])
+def test_an_output_of_another_channel_is_not_said_to_be_the_error(study, has_rate):
+    """A small drift hardly matters as the error of a loop with feedforward; a measured error gives the command."""
+    replay = FeedforwardReplay(study)
+    y = replay.reference[0] - 0.02 * np.sin(5.0 * TIME)
+    rates = {"y_dot": replay.reference[1] - 0.1 * np.cos(5.0 * TIME)} if has_rate else {}
+    logged = {"y": y, "y_ref": replay.reference[0], **rates}
+    logged["u_total"] = replay.command(logged)
+    hint = column_hints(replay, {**logged, "y": 0.003 * TIME}, 1.0)["y"]
+    assert hint.code == "exchanged-columns"
+    assert hint.text.startswith("does not change as y_dot tells: " if has_rate else "is not what the controller")
+    assert "it is another channel's, or holds the error y" in hint.text
+    error = column_hints(replay, {**logged, "y": replay.reference[0] - y}, 1.0)["y"]
+    assert error.text.startswith("seems to hold the error y_ref - y: with that")
 
 
 @pytest.mark.parametrize("factor", [0.97, 1.03, 1.08])
