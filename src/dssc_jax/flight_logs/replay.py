@@ -30,6 +30,7 @@ from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.references import compared_references, study_references
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
 from dssc_jax.flight_logs.hints.reset_hints import reset_hints
+from dssc_jax.flight_logs.hints.rounded_outputs import rounded_output_hint
 from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
 from dssc_jax.flight_logs.hints.starts import start_hints
 from dssc_jax.flight_logs.reading.coverage import times_text
@@ -199,6 +200,9 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         followed_text = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""
         if followed_text:
             conversions.setdefault(signal_name(channel, "y"), Hint("another-unit", followed_text))
+        rounded = rounded_output_hint(study, index, signals["y"]) if "y" in signals else None
+        if rounded is not None:
+            factors.setdefault(signal_name(channel, "y"), rounded)
         y_ref = signal_name(channel, "y_ref")
         if y_ref in comparison.others and "y" in signals and is_reference(signals["y"], references[index, 0]):
             text = f"looks exchanged with {y_ref}: it is the study's reference"

@@ -48,6 +48,7 @@ WarningCode: TypeAlias = Literal[
     "repeated-times",
     "rough-squares",
     "rounded-command",
+    "rounded-output",
     "row-numbers",
     "shifted-command",
     "shifted-reference",

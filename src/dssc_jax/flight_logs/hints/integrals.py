@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from dssc_jax.flight_logs.hints.conversions import OPPOSITE, RATE_CONVERSIONS
 from dssc_jax.flight_logs.hints.output_steps import step_cause
+from dssc_jax.flight_logs.hints.rounded_outputs import AT_MOST, output_rounding
 from dssc_jax.flight_logs.reading.held_outputs import stuck_span
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
@@ -163,6 +164,7 @@ def jumps_beside(y: Column, y_dot: Column, begin: float, end: float) -> list[Jum
     lasting_changes[NEIGHBOURS - 1 : len(changes) - NEIGHBOURS + 1] = means[NEIGHBOURS:] - means[:-NEIGHBOURS]
     least_change = np.maximum(JUMP * usual_size(changes), 2.0 * gaps * np.abs(slope.value).max())
     is_jump = (np.abs(changes) > least_change) & (np.abs(lasting_changes) > LASTING * usual_size(lasting_changes))
+    is_jump &= np.abs(lasting_changes) > AT_MOST * output_rounding(output.value)
     rows = np.flatnonzero(is_jump & (np.abs(lasting_changes - changes) < 0.5 * np.abs(changes)))
     if len(rows) > MOST_JUMPS:
         return []
