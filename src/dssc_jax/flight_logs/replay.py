@@ -29,6 +29,7 @@ from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled
 from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.references import compared_references, study_references
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
+from dssc_jax.flight_logs.hints.replayed_references import moved_reference
 from dssc_jax.flight_logs.hints.reset_hints import reset_hints
 from dssc_jax.flight_logs.hints.rounded_outputs import rounded_output_hint
 from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
@@ -244,8 +245,14 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         if scaled is not None:
             factors[y] = scaled.hint
             command = scaled.command
+        has_other_reference = y_ref in comparison.shifts or y_ref in comparison.others
+        if scaled is None and y not in conversions and not has_other_reference:
+            reference = moved_reference(replay, signals, command)
+            if reference is not None:
+                comparison.shifts[y_ref] = reference.hint
+                command = reference.command
         if hint is None and y not in conversions and not has_wrong_reference(replay, signals, command):
-            hint = command_hint(signals["u_total"], command, loop.sample_time, units.of("u"))
+            hint = command_hint(signals["u_total"], command, loop.sample_time, units.of("u"), "y_ref" in signals)
         if hint is not None:
             factors[name] = hint
     conversions |= angle_hints(study, log, references)

@@ -35,7 +35,7 @@ def study():
     )
 
 
-def flown(seed=0, noise=0.002, gains=GAINS, force=0.0, step=0.0):
+def flown(seed=0, noise=0.002, gains=GAINS, force=0.0, step=0.0, reference=PULSES):
     """The columns of a flight, by a simulation of its own.
 
     Args:
@@ -44,6 +44,7 @@ def flown(seed=0, noise=0.002, gains=GAINS, force=0.0, step=0.0):
         gains: Gains of the flight's controller.
         force: A constant force on the vehicle, as command.
         step: The step to which the controller rounds its command; 0: it does not.
+        reference: What the controller gets; the log has the pulses.
     """
     random = np.random.default_rng(seed)
     k_1, k_2, k_i = gains
@@ -52,10 +53,10 @@ def flown(seed=0, noise=0.002, gains=GAINS, force=0.0, step=0.0):
     for sample in range(SAMPLES):
         y = place + noise * random.normal()
         y_dot = speed + 2.0 * noise * random.normal()
-        u = integral - k_1 * (y - PULSES[sample]) - k_2 * y_dot
+        u = integral - k_1 * (y - reference[sample]) - k_2 * y_dot
         if step > 0.0:
             u = step * np.round(u / step)
-        integral -= DT * k_i * (y - PULSES[sample])
+        integral -= DT * k_i * (y - reference[sample])
         for name, value in (("y", y), ("y_dot", y_dot), ("u_total", u)):
             columns[name][sample] = value
         for _ in range(10):
