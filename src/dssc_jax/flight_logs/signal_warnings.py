@@ -123,7 +123,7 @@ def causes_first(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]
     """
 
     def rank(warning: SignalWarning) -> int:
-        """Place of a warning: 0 of a fault of the log, 1 of a change that it lacks, 2 of an explanation, then effects."""
+        """Place of a warning: that of a fault of the log, of a change that it lacks, of an explanation, then of effects."""
         if warning.code in EFFECTS:
             return EFFECTS.index(warning.code) + 3
         if warning.code in EXPLANATIONS:
