@@ -123,7 +123,7 @@ def causes_first(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]
     """
 
     def rank(warning: SignalWarning) -> int:
-        """Place of a warning: that of a fault of the log, of a change that it lacks, of an explanation, then of effects."""
+        """Place of a warning: of a fault of the log, of a change that it lacks, of an explanation, of an effect."""
         if warning.code in EFFECTS:
             return EFFECTS.index(warning.code) + 3
         if warning.code in EXPLANATIONS:
