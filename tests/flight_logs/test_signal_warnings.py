@@ -78,6 +78,16 @@ def test_causes_stand_before_effects():
     assert causes_first([effect, cause]) == (cause, effect)
 
 
+def test_a_fault_of_the_log_stands_before_a_delay_that_would_explain_it():
+    """As in a log of 10 Hz of a loop of 50 Hz."""
+    codes = ("rare-command", "command-jump", "delayed-output", "large-residual")
+    warnings = tuple(SignalWarning("", code, "...") for code in codes)
+    delay_first = (warnings[2], warnings[1], warnings[0], warnings[3])
+    assert causes_first(delay_first) == warnings
+    parts = tuple(SignalWarning("y", code, "...") for code in ("missing-lag", "delayed-output"))
+    assert causes_first(parts) == parts
+
+
 def test_what_replay_and_fit_tell_is_told_once():
     of_replay = SignalWarning("u_total", "command-dropouts", "by the replay")
     of_fit = SignalWarning("u_total", "command-dropouts", "by the fit")

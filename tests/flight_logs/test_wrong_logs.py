@@ -103,6 +103,16 @@ def test_an_output_in_another_unit_than_its_reference_is_told(factor, words):
     assert followed_conversion(lagging, SINE, "m") == words
 
 
+def test_an_output_in_degrees_that_follows_late_is_told():
+    """A slow loop: a third of a period late, and a fifth too small; honest ones and noise are none of these."""
+    slow = 0.8 * np.sin(np.pi * TIME - 2.0)
+    told = "follows its reference times 57.3 (degrees in place of radians), with a lag"
+    assert followed_conversion(np.degrees(slow), np.sin(np.pi * TIME), "rad") == told
+    random = np.random.default_rng(0)
+    for other in (slow, 2.9 * slow, 57.3 * random.normal(size=len(TIME)), 20.0 * slow, 0.0 * slow):
+        assert followed_conversion(other, np.sin(np.pi * TIME), "rad") == ""
+
+
 def test_the_opposite_sign_is_told_where_the_mean_has_it():
     """A step that a loop follows slowly; of a sine without a mean, a sign may be a lag."""
     step = (TIME > 1.0).astype(float)

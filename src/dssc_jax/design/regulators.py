@@ -294,7 +294,8 @@ def crossing(size: Callable[[float], float], guess: float) -> float:
     for place in range(1, PLACES + 1):
         end = start + place * step
         if excess_at_start * excess(end) <= 0.0:  # not where a gain is not a number
-            return math.exp(optimize.brentq(excess, end - step, end, xtol=CROSSING_TOLERANCE))
+            bracket = (end - step, end)
+            return math.exp(optimize.root_scalar(excess, bracket=bracket, xtol=CROSSING_TOLERANCE).root)
     raise ConfigError(
         "`bandwidth`", "is out of reach of every weight for this plant; ask for another one, or sample faster"
     )

@@ -30,7 +30,9 @@ from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.references import compared_references, study_references
 from dssc_jax.flight_logs.hints.repeated_rows import repeated_rows_hint
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
+from dssc_jax.flight_logs.hints.replayed_references import moved_reference
 from dssc_jax.flight_logs.hints.reset_hints import reset_hints
+from dssc_jax.flight_logs.hints.rounded_outputs import rounded_output_hint
 from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
 from dssc_jax.flight_logs.hints.starts import start_hints
 from dssc_jax.flight_logs.reading.coverage import times_text
@@ -203,6 +205,9 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         followed_text = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""
         if followed_text:
             conversions.setdefault(signal_name(channel, "y"), Hint("another-unit", followed_text))
+        rounded = rounded_output_hint(study, index, signals["y"]) if "y" in signals else None
+        if rounded is not None:
+            factors.setdefault(signal_name(channel, "y"), rounded)
         y_ref = signal_name(channel, "y_ref")
         if y_ref in comparison.others and "y" in signals and is_reference(signals["y"], references[index, 0]):
             text = f"looks exchanged with {y_ref}: it is the study's reference"
@@ -244,8 +249,14 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         if scaled is not None:
             factors[y] = scaled.hint
             command = scaled.command
+        has_other_reference = y_ref in comparison.shifts or y_ref in comparison.others
+        if scaled is None and y not in conversions and not has_other_reference:
+            reference = moved_reference(replay, signals, command)
+            if reference is not None:
+                comparison.shifts[y_ref] = reference.hint
+                command = reference.command
         if hint is None and y not in conversions and not has_wrong_reference(replay, signals, command):
-            hint = command_hint(signals["u_total"], command, loop.sample_time, units.of("u"))
+            hint = command_hint(signals["u_total"], command, loop.sample_time, units.of("u"), "y_ref" in signals)
         if hint is not None:
             factors[name] = hint
     conversions |= angle_hints(study, log, references)

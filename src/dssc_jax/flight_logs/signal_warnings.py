@@ -49,6 +49,7 @@ WarningCode: TypeAlias = Literal[
     "repeated-times",
     "rough-squares",
     "rounded-command",
+    "rounded-output",
     "row-numbers",
     "shifted-command",
     "shifted-reference",
@@ -62,6 +63,17 @@ WarningCode: TypeAlias = Literal[
 ]
 """What a warning is about, for scripts; docs/log_fits.md lists the codes beside the messages."""
 
+EXPLANATIONS: tuple[WarningCode, ...] = (
+    "delayed-command",
+    "delayed-output",
+    "missing-dead-zone",
+    "missing-force",
+    "missing-lag",
+    "missing-limit",
+    "changing-gain",
+    "rough-squares",
+)
+"""Warnings of what would explain a residual: a fault of the log that another warning names may do so, too."""
 EFFECTS: tuple[WarningCode, ...] = (
     "initial-output",
     "command-offset",
@@ -106,11 +118,18 @@ def signal_warnings(hints: Mapping[str, Hint]) -> tuple[SignalWarning, ...]:
 
 
 def causes_first(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
-    """Order warnings: those of a cause first, then those of effects as in :data:`EFFECTS`; else the order stays."""
+    """Order warnings: faults of the log, explanations of a residual, effects as in :data:`EFFECTS`; else as they are.
+
+    A change of a command that the log lacks follows from commands that are logged too rarely.
+    """
 
     def rank(warning: SignalWarning) -> int:
-        """Place of a warning: 0 of a cause, from 1 on of an effect."""
-        return EFFECTS.index(warning.code) + 1 if warning.code in EFFECTS else 0
+        """Place of a warning: of a fault of the log, of a change that it lacks, of an explanation, of an effect."""
+        if warning.code in EFFECTS:
+            return EFFECTS.index(warning.code) + 3
+        if warning.code in EXPLANATIONS:
+            return 2
+        return 1 if warning.code == "command-jump" else 0
 
     return tuple(sorted(warnings, key=rank))
 

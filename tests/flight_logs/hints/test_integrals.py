@@ -88,6 +88,19 @@ def test_a_sine_with_the_opposite_sign_is_not_called_exchanged():
         assert hints.conversions["y"].text.startswith(told)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_climb_with_the_opposite_sign_is_not_called_exchanged(seed):
+    """One slow sway, with noise and a speed that reads 4 % too high: -y is the better integral of y_dot."""
+    random = np.random.default_rng(seed)
+    y = np.sin(1.2 * TIME) + 0.1 * np.sin(2.6 * TIME)
+    rate = 1.25 * np.cos(1.2 * TIME) + 0.27 * np.cos(2.6 * TIME)
+    for sign, told in ((-1.0, "is the integral of y_dot with the opposite sign"), (1.0, "")):
+        columns = {"y": sign * y + 0.003 * random.normal(size=400), "y_dot": rate + 0.02 * random.normal(size=400)}
+        log = FlightLog("climb", {name: Column(TIME, values) for name, values in columns.items()}, 0.0)
+        conversions = replay_log(linear(), log, commands=False).hints.conversions
+        assert [hint.text for hint in conversions.values()] == [told] * bool(told)
+
+
 def test_a_copy_of_the_reference_is_told():
     """Of an output, or of its rate; a reference that rests is the output of a vehicle that rests."""
     y, rate = flight()

@@ -8,6 +8,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit.fit import fit_log
+from dssc_jax.flight_logs.hints.replayed_columns import column_hints
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import replay_log
 
@@ -34,7 +35,7 @@ def study():
     )
 
 
-def flown(seed=0, noise=0.002, gains=GAINS, force=0.0, step=0.0):
+def flown(seed=0, noise=0.002, gains=GAINS, force=0.0, step=0.0, reference=PULSES):
     """The columns of a flight, by a simulation of its own.
 
     Args:
@@ -43,6 +44,7 @@ def flown(seed=0, noise=0.002, gains=GAINS, force=0.0, step=0.0):
         gains: Gains of the flight's controller.
         force: A constant force on the vehicle, as command.
         step: The step to which the controller rounds its command; 0: it does not.
+        reference: What the controller gets; the log has the pulses.
     """
     random = np.random.default_rng(seed)
     k_1, k_2, k_i = gains
@@ -51,10 +53,10 @@ def flown(seed=0, noise=0.002, gains=GAINS, force=0.0, step=0.0):
     for sample in range(SAMPLES):
         y = place + noise * random.normal()
         y_dot = speed + 2.0 * noise * random.normal()
-        u = integral - k_1 * (y - PULSES[sample]) - k_2 * y_dot
+        u = integral - k_1 * (y - reference[sample]) - k_2 * y_dot
         if step > 0.0:
             u = step * np.round(u / step)
-        integral -= DT * k_i * (y - PULSES[sample])
+        integral -= DT * k_i * (y - reference[sample])
         for name, value in (("y", y), ("y_dot", y_dot), ("u_total", u)):
             columns[name][sample] = value
         for _ in range(10):
@@ -95,6 +97,35 @@ def test_an_error_in_place_of_the_output_is_named(study, sign, words):
     codes, text = told(study, {**columns, "y": sign * (PULSES - columns["y"])})
     assert codes == {"y": "exchanged-columns"}
     assert words in text
+
+
+class FeedforwardReplay:
+    """A replay of the controller u = y_ref' + 2 (y_ref - y), as that of a position by commands of a velocity."""
+
+    index = 0
+
+    def __init__(self, study):
+        self.study = study
+        self.reference = np.array([0.5 * np.sin(TIME), 0.5 * np.cos(TIME), -0.5 * np.sin(TIME)])
+
+    def command(self, signals):
+        return self.reference[1] + 2.0 * (signals["y_ref"] - signals["y"])
+
+
+@pytest.mark.parametrize("has_rate", [False, True])
+def test_an_output_of_another_channel_is_not_said_to_be_the_error(study, has_rate):
+    """A small drift hardly matters as the error of a loop with feedforward; a measured error gives the command."""
+    replay = FeedforwardReplay(study)
+    y = replay.reference[0] - 0.02 * np.sin(5.0 * TIME)
+    rates = {"y_dot": replay.reference[1] - 0.1 * np.cos(5.0 * TIME)} if has_rate else {}
+    logged = {"y": y, "y_ref": replay.reference[0], **rates}
+    logged["u_total"] = replay.command(logged)
+    hint = column_hints(replay, {**logged, "y": 0.003 * TIME}, 1.0)["y"]
+    assert hint.code == "exchanged-columns"
+    assert hint.text.startswith("does not change as y_dot tells: " if has_rate else "is not what the controller")
+    assert "it is another channel's, or holds the error y" in hint.text
+    error = column_hints(replay, {**logged, "y": replay.reference[0] - y}, 1.0)["y"]
+    assert error.text.startswith("seems to hold the error y_ref - y: with that")
 
 
 @pytest.mark.parametrize("factor", [0.97, 1.03, 1.08])

@@ -54,6 +54,22 @@ def test_a_late_begin_and_an_early_end_are_gaps():
     assert (end, last) == (TIME[50], TIME[399])
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_a_jump_of_the_clock_is_told_from_missing_messages(noise):
+    """The signals go on as if no time had passed; one that rests, or noise, leaves it open."""
+    value = SINE + noise * np.random.default_rng(1).normal(size=500)
+    missing = {"y": without(TIME, value, 4.0, 4.6), "y_ref": without(TIME, np.zeros(500), 4.0, 4.6)}
+    time = np.where(TIME > 4.0, TIME + 0.6, TIME)
+    jumped = {"y": Column(time, value), "y_ref": Column(time, np.zeros(500))}
+    beside = {"y": jumped["y"], "u_total": Column(TIME, value)}
+    noisy = {"y": Column(time, value + 0.2 * np.random.default_rng(2).normal(size=500))}
+    for columns, is_told in ((missing, False), (jumped, True), (beside, False), (noisy, False)):
+        log = FlightLog("flight", columns, 0.0)
+        text = gap_text(log, log_gaps(log, ["y"], 9.0), DT)
+        assert text.startswith("messages are missing for 0.")
+        assert ("or the clock jumped, as the signals go on as if no time had passed, and" in text) == is_told
+
+
 def test_gaps_of_several_signals_are_told_as_one():
     columns = {"x_u_total": without(TIME, SINE, 4.0, 4.5), "y_u_total": without(TIME, SINE, 4.2, 4.7)}
     log = FlightLog("flight", columns, 0.0)

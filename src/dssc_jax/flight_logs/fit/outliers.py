@@ -7,6 +7,7 @@ import numpy as np
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.hints.integrals import usual_size
 from dssc_jax.flight_logs.hints.output_steps import step_cause
+from dssc_jax.flight_logs.hints.rounded_outputs import AT_MOST, output_rounding
 from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
@@ -74,7 +75,11 @@ def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[SignalWarning, .
     for readings, columns in zip(problem.readings, problem.columns(x), strict=True):
         name = signal_name(problem.study.loop.channels[readings.channel], "y")
         unit = problem.study.units[readings.channel].output
-        changes = outliers(readings.times, columns[:, 0], float(np.sqrt(readings.sensor)))
+        least_size = AT_MOST * output_rounding(readings.values)  # smaller changes are those of its rounding
+        changes = []
+        for outlier in outliers(readings.times, columns[:, 0], float(np.sqrt(readings.sensor))):
+            if abs(outlier.size) > least_size:
+                changes.append(outlier)
         single = [outlier for outlier in changes if not outlier.lasts]
         jumps = [outlier for outlier in changes if outlier.lasts]
         if single:

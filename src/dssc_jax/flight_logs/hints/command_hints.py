@@ -86,7 +86,9 @@ def command_unit(logged: np.ndarray, replayed: np.ndarray, unit: str) -> str:
     )
 
 
-def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, unit: str) -> Hint | None:
+def command_hint(
+    logged: np.ndarray, replayed: np.ndarray, sample_time: float, unit: str, has_reference: bool = True
+) -> Hint | None:
     """How the logged command follows from the replayed one, in words; None if both are the same or nothing is certain.
 
     Args:
@@ -94,6 +96,7 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
         replayed: The command of the analysed controller, shape (samples,).
         sample_time: Time between two samples [s].
         unit: Unit of the command.
+        has_reference: Whether the log has a reference; else the replay took that of the study.
     """
     factor = multiple_of(logged, replayed)
     if factor != 1.0:
@@ -163,11 +166,12 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
         return Hint("command-offset", text)
     latter_half = slice(len(logged) // 2, None)  # what the first state does has decayed there
     if min(difference, rms((logged - replayed)[latter_half])) > ANOTHER * deviation:
+        reference = "the reference" if has_reference else "the reference (the log has no y_ref: the study's was used)"
         text = (
             f"is not what the analysed controller gives for the logged measurements: they differ by {difference:.4g} "
             f"{unit} rms, and the logged one varies by {deviation:.4g}. The cause is open: other gains, limits or "
-            "another rate of the controller flew, or a measurement is not what the controller got. Compare these, and "
-            "units, offsets, times and gaps of y and y'"
+            f"another rate of the controller flew, or a measurement or {reference} is not what the controller got. "
+            "Compare these, and units, offsets, times and gaps of y, y' and y_ref"
         )
         return Hint("another-command", text)
     return None if rounding is None else rounded_hint(rounding, unit)

@@ -71,6 +71,9 @@ RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in pla
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
 SAME_MULTIPLE = 1.05  # factor between two multiples: closer, they are one, as 100 and 102
 LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
+LARGE_MULTIPLE = 3.0  # of its reference that an output follows late
+LATE_SHARE = 0.1  # of the samples by which it may be late
+LATE_SIZE = 0.3  # relative difference of its root mean square from a multiple of it
 MEAN = 0.3  # share of a reference's root mean square: the least mean that says something
 FEW_SAMPLES = 0.005  # share of single samples at which a reference may differ that is the same: edges between two
 
@@ -159,7 +162,36 @@ def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) ->
             continue
         if is_near and conversion_text(logged, reference, FOLLOWED, unit) == text:
             return f"follows its reference {text}"
-    return ""
+    return late_conversion(logged, reference, unit)
+
+
+def late_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
+    """The large multiple of its reference that an output follows late, as a slow loop does, in words; empty: none.
+
+    No loop exceeds its reference by three times and looks like it. A sign is left open, as half a period is one, too.
+
+    Args:
+        logged: Values, NaN where missing, shape (samples,).
+        reference: The channel's reference.
+        unit: Unit of the output.
+    """
+    size = rms(reference)
+    if not LARGE_MULTIPLE * size < rms(logged) < np.inf or size == 0.0:
+        return ""
+    text = ""
+    least_distance = FOLLOWED * size
+    for conversion in CONVERSIONS:
+        if conversion.factor < LARGE_MULTIPLE or not conversion.is_possible(unit):
+            continue
+        for delay in range(int(LATE_SHARE * len(logged))):
+            late = logged[delay:] / conversion.factor
+            followed = reference[: len(late)]
+            distance = rms(late - followed)
+            sizes = rms(late), rms(followed[np.isfinite(late)])
+            if distance < least_distance and abs(sizes[0] - sizes[1]) <= LATE_SIZE * sizes[1]:
+                least_distance = distance
+                text = f"follows its reference {conversion.text(unit)}, with a lag"
+    return text
 
 
 def has_opposite_mean(logged: np.ndarray, reference: np.ndarray) -> bool:

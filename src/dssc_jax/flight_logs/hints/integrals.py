@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from dssc_jax.flight_logs.hints.conversions import RATE_CONVERSIONS
+from dssc_jax.flight_logs.hints.conversions import OPPOSITE, RATE_CONVERSIONS
 from dssc_jax.flight_logs.hints.output_steps import step_cause
+from dssc_jax.flight_logs.hints.rounded_outputs import AT_MOST, output_rounding
 from dssc_jax.flight_logs.reading.held_outputs import stuck_span
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
@@ -24,6 +25,7 @@ DRIFT = 10.0  # factor on the variance by white noise: the least that a drift is
 FITTED = 3  # numbers of the regression
 SMALL_ERROR = 0.25  # largest errors of a factor, as a share of its distance from 1: of the integral, and by noise in y'
 SAME_FACTOR = 0.02  # closer, a factor is that of another unit
+SAME_CHANGE = 0.1  # distance of a factor from 1 or -1: closer, an output that resembles an integral is that one
 ACCURATE = 0.05  # standard deviation of a factor that says anything, as a share of it
 INTEGRAL = 0.9  # correlation: more, and one signal is the integral of the other
 NO_INTEGRAL = 0.7  # correlation: less, and it is not
@@ -95,6 +97,26 @@ def are_exchanged(y: Column, y_dot: Column, begin: float, end: float) -> bool:
     return likeness_to_integral(slope, output) > INTEGRAL and likeness_to_integral(output, slope) < NO_INTEGRAL
 
 
+def is_opposite(y: Column, y_dot: Column, factor: Factor | None, begin: float, end: float) -> bool:
+    """Whether an output is the integral of its derivative with the opposite sign, between two times of the log [s].
+
+    A slow sine is also the integral of its derivative if both are exchanged; there the sign goes first.
+
+    Args:
+        y: The output.
+        y_dot: Its derivative.
+        factor: The output over the integral of its derivative; None if it is open.
+        begin: Time of the log from which on values count [s].
+        end: Time up to which they count [s].
+    """
+    if factor is None or abs(factor.value + 1.0) >= SAME_CHANGE:
+        return False
+    output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
+    likeness = -likeness_to_integral(output, slope)
+    is_as_like = likeness > INTEGRAL and likeness >= likeness_to_integral(slope, output)
+    return abs(factor.value + 1.0) < SAME_FACTOR or is_as_like
+
+
 def likeness_to_integral(output: Column, rate: Column) -> float:
     """The correlation of an output with the integral of a rate, both without a straight line; 0 if one is 0."""
     sizes = float(np.abs(output.value).max()), float(np.abs(rate.value).max())
@@ -142,6 +164,7 @@ def jumps_beside(y: Column, y_dot: Column, begin: float, end: float) -> list[Jum
     lasting_changes[NEIGHBOURS - 1 : len(changes) - NEIGHBOURS + 1] = means[NEIGHBOURS:] - means[:-NEIGHBOURS]
     least_change = np.maximum(JUMP * usual_size(changes), 2.0 * gaps * np.abs(slope.value).max())
     is_jump = (np.abs(changes) > least_change) & (np.abs(lasting_changes) > LASTING * usual_size(lasting_changes))
+    is_jump &= np.abs(lasting_changes) > AT_MOST * output_rounding(output.value)
     rows = np.flatnonzero(is_jump & (np.abs(lasting_changes - changes) < 0.5 * np.abs(changes)))
     if len(rows) > MOST_JUMPS:
         return []
@@ -273,8 +296,10 @@ def add_integral_hints(hints: IntegralHints, study: Study, index: int, log: Flig
     rate = log.columns[rate_name]
     end = last_sample_time(study, log)
     factor = integral_factor(y, rate, log.start, end)
-    is_opposite = factor is not None and abs(factor.value + 1.0) < SAME_FACTOR  # as an exchange of a slow sine is
-    if not is_opposite and are_exchanged(y, rate, log.start, end):
+    if is_opposite(y, rate, factor, log.start, end):
+        hints.units[y_name] = Hint("another-unit", f"is the integral of {rate_name} {OPPOSITE}")
+        return
+    if are_exchanged(y, rate, log.start, end):
         hints.units[y_name] = Hint("exchanged-columns", f"looks exchanged with {rate_name}, which is its integral")
         return
     jumps = jumps_beside(y, rate, log.start, end)

@@ -12,10 +12,18 @@ import numpy as np
 
 from dssc_jax.flight_logs.channel_replay import ChannelReplay
 from dssc_jax.flight_logs.hints.conversions import FEWER, rms
-from dssc_jax.flight_logs.reading.reader import signal_name
+from dssc_jax.flight_logs.hints.integrals import (
+    DEVIATIONS,
+    INTEGRAL,
+    SAME_CHANGE,
+    integral_factor,
+    likeness_to_integral,
+)
+from dssc_jax.flight_logs.reading.reader import Column, forward_filled, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
 
 DESCRIBED = 0.1  # largest difference of the commands with the right columns, as a share of the command's deviation
+ERROR = "seems to hold the error"
 EXCHANGED = ("y", "y_dot", "y_ref", "u_total")
 LEAST_VALUES = 20
 
@@ -55,9 +63,65 @@ def column_hints(replay: ChannelReplay, logged: Mapping[str, np.ndarray], presen
             best = candidate
     if best is None:
         return {}
+    if best.text.startswith(ERROR):
+        as_reference = replay.command({**best.signals, "y": reference_of(replay, logged)})
+        reference_share = np.inf if isinstance(as_reference, str) else command_share(logged["u_total"], as_reference)
+        if least_share > FEWER * reference_share:
+            return {signal_name(channel, "y"): another_output(replay, logged, best, least_share, reference_share)}
     u = signal_name(channel, "u_total")
     reason = f"with that, the analysed controller gives the logged {u} to {100 * least_share:.2g} % of what it varies"
     return {signal_name(channel, best.signal): Hint("exchanged-columns", f"{best.text}: {reason}")}
+
+
+def reference_of(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The logged reference, or that of the study if the log has none, shape (samples,)."""
+    return logged.get("y_ref", replay.reference[0])
+
+
+def another_output(
+    replay: ChannelReplay,
+    logged: Mapping[str, np.ndarray],
+    as_error: OtherColumns,
+    error_share: float,
+    reference_share: float,
+) -> Hint:
+    """That an output is not what the controller got, where its reference in its place gives the command as well.
+
+    It may hold the error, or be any small signal, such as the output of another channel.
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals, NaN where missing, each of shape (samples,).
+        as_error: The hypothesis that it holds the error.
+        error_share: The share by :func:`command_share` with that.
+        reference_share: The share with the reference in place of the output.
+    """
+    channel = replay.study.loop.channels[replay.index]
+    u = signal_name(channel, "u_total")
+    text = "is not what the controller got"
+    if "y_dot" in logged and not moves_by_rate(logged, replay.study.loop.sample_time):
+        text = f"does not change as {signal_name(channel, 'y_dot')} tells"
+    error = as_error.text.removeprefix(f"{ERROR} ")
+    text += (
+        f": it is another channel's, or holds the error {error}. With that error the analysed controller gives the "
+        f"logged {u} to {100 * error_share:.2g} % of what it varies, and with an output that is its reference, too, "
+        f"to {100 * reference_share:.2g} %"
+    )
+    return Hint("exchanged-columns", text)
+
+
+def moves_by_rate(logged: Mapping[str, np.ndarray], sample_time: float) -> bool:
+    """Whether a logged output resembles the integral of its derivative, with a factor that may be 1.
+
+    Args:
+        logged: The channel's signals, NaN where missing, with y and y_dot, each of shape (samples,).
+        sample_time: Time between two samples [s].
+    """
+    time = sample_time * np.arange(len(logged["y"]))
+    y, y_dot = (Column(time, forward_filled(logged[name])) for name in ("y", "y_dot"))
+    factor = integral_factor(y, y_dot, 0.0, float(time[-1]))
+    is_other = factor is not None and abs(factor.value - 1.0) > max(SAME_CHANGE, DEVIATIONS * factor.deviation)
+    return not is_other and likeness_to_integral(y, y_dot) > INTEGRAL
 
 
 def command_share(logged: np.ndarray, command: np.ndarray) -> float:
@@ -82,11 +146,11 @@ def errors_as_outputs(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -
     channel = replay.study.loop.channels[replay.index]
     y = signal_name(channel, "y")
     y_ref = signal_name(channel, "y_ref")
-    reference = logged.get("y_ref", replay.reference[0])
+    reference = reference_of(replay, logged)
     if len(np.unique(reference[np.isfinite(reference)])) < 2:
         return  # without a reference that moves, the error is y with an offset
     for error, output in ((f"{y_ref} - {y}", reference - logged["y"]), (f"{y} - {y_ref}", reference + logged["y"])):
-        yield OtherColumns("y", f"seems to hold the error {error}", {**logged, "y": output})
+        yield OtherColumns("y", f"{ERROR} {error}", {**logged, "y": output})
 
 
 def exchanged_columns(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> Iterator[OtherColumns]:

@@ -14,6 +14,9 @@ MISSING = 4  # messages in succession that are missing in a gap
 REGULAR = 2.5  # factor on the median gap: a signal has a rate if nine in ten gaps are shorter
 UNCHANGED = 1e-3  # share of a signal's range: one that rests before and after, at one value, may not have been sent
 BESIDE = 5  # messages on either side that tell whether it rests
+LINE = 10  # messages on either side through which a line goes
+MOVED = 10.0  # standard deviations of the noise by which a signal has to move within a gap to tell a jump of the clock
+FEWER = 1.0 / 3.0  # share of the distance from a change by the time of the gap: closer to none, a signal goes on
 NAMED = 3  # gaps that a message names
 
 
@@ -68,6 +71,44 @@ def log_gaps(log: FlightLog, signals: Iterable[str], end: float) -> tuple[Gap, .
     return tuple(gaps)
 
 
+def runs_on(column: Column, begin: float, end: float) -> bool | None:
+    """Whether a signal goes on after a gap as if no time had passed, which it does where the clock jumps.
+
+    None if that is open: it rests, or its noise hides it.
+
+    Args:
+        column: The signal.
+        begin: Time of the last message before the gap [s].
+        end: Time of the first message after it [s].
+    """
+    before = np.flatnonzero(column.time <= begin)[-LINE:]
+    after = np.flatnonzero(column.time >= end)[:LINE]
+    if min(len(before), len(after)) < LINE:
+        return None
+    lines = [
+        np.polyfit(column.time[rows] - time, column.value[rows], 1) for rows, time in ((before, begin), (after, end))
+    ]
+    noise = 0.0
+    for line, rows, time in zip(lines, (before, after), (begin, end), strict=True):
+        noise = max(noise, float(np.std(column.value[rows] - np.polyval(line, column.time[rows] - time))))
+    slope = 0.5 * (lines[0][0] + lines[1][0])
+    change = lines[1][1] - lines[0][1]
+    usual_step = float(np.median(np.diff(column.time)))
+    if abs(slope) * (end - begin - usual_step) < MOVED * noise or slope == 0.0:
+        return None
+    return abs(change - slope * usual_step) < FEWER * abs(change - slope * (end - begin))
+
+
+def clock_jumped(log: FlightLog, gap: Gap) -> bool:
+    """Whether all signals of a log lack messages in a gap, and those that move go on after it as if it were none."""
+    answers = []
+    for column in log.columns.values():
+        if np.any((column.time > gap.begin) & (column.time < gap.end)):
+            return False
+        answers.append(runs_on(column, gap.begin, gap.end))
+    return True in answers and False not in answers
+
+
 def gap_text(log: FlightLog, gaps: tuple[Gap, ...], sample_time: float) -> str:
     """The gaps in words, with the remedy for the longest."""
     spans = []
@@ -80,7 +121,10 @@ def gap_text(log: FlightLog, gaps: tuple[Gap, ...], sample_time: float) -> str:
     if longest.end < log.end - sample_time:
         part = f"the part after with a start of {longest.end:.4g} s and a law of the initial state (plant.initial)"
         parts.append(part)
+    clock = ""
+    if any(clock_jumped(log, gap) for gap in gaps):
+        clock = ", or the clock jumped, as the signals go on as if no time had passed"
     return (
-        f"messages are missing for {', '.join(spans)}{further}, and commands are held where the flight had others. "
-        f"Fit {', or '.join(parts) or 'another log'}"
+        f"messages are missing for {', '.join(spans)}{further}{clock}, and commands are held where the flight had "
+        f"others. Fit {', or '.join(parts) or 'another log'}"
     )

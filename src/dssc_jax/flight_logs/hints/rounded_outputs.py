@@ -1,0 +1,70 @@
+"""A logged output that is rounded coarsely: its noise is smaller than the step.
+
+What rounding leaves is no white noise, and its steps look like outliers and jumps.
+"""
+
+import numpy as np
+
+from dssc_jax.flight_logs.hints.conversions import rms
+from dssc_jax.flight_logs.hints.references import median_values
+from dssc_jax.flight_logs.hints.rounded_commands import (
+    COARSE,
+    LEAST_LEVELS,
+    LEAST_VALUES,
+    NEAR,
+    multiple_share,
+    rounding_step,
+)
+from dssc_jax.flight_logs.signal_warnings import Hint
+from dssc_jax.study import Study
+
+MOSTLY = 0.99  # least share of the readings that are multiples of a step
+USUAL = 0.9  # share of the second differences that tell the noise; the largest ones may be the flight's
+QUIET = 1.2  # steps, root mean square of these second differences: about 0.5 by rounding alone, 1.7 by noise of a step
+AT_MOST = 1.5  # steps: a larger change is more than rounding
+
+
+def output_rounding(values: np.ndarray) -> float:
+    """The step to which readings of an output are rounded, if their noise is smaller than it; else 0.
+
+    Args:
+        values: The readings, NaN where missing, in the output's unit, shape (n,).
+    """
+    readings = values[np.isfinite(values)]
+    if len(readings) < LEAST_VALUES:
+        return 0.0
+    levels = np.unique(readings)
+    step = rounding_step(levels)
+    if len(levels) < LEAST_LEVELS or step <= COARSE * rms(readings - np.median(readings)):
+        return 0.0
+    if multiple_share(readings, step, float(levels[1])) < MOSTLY:
+        return 0.0
+    sizes = np.sort(np.abs(np.diff(readings, 2)))
+    usual_size = rms(sizes[: int(USUAL * len(sizes))])
+    return step if usual_size < QUIET * step else 0.0
+
+
+def declared_resolution(study: Study, index: int) -> float:
+    """The resolution of y that the sensor of a channel has in the study, at the median of its law; 0 without one."""
+    sensor = study.params(median_values(study)).sensor[index]
+    resolution = getattr(sensor, "position_resolution", None)
+    return 0.0 if resolution is None else float(resolution)
+
+
+def rounded_output_hint(study: Study, index: int, values: np.ndarray) -> Hint | None:
+    """That an output is rounded by more than the study's sensor does, with the remedy; None if it is not.
+
+    Args:
+        study: The study.
+        index: Position of the output's channel.
+        values: The readings, NaN where missing, in the output's unit, shape (n,).
+    """
+    step = output_rounding(values)
+    if step <= (1.0 + NEAR) * declared_resolution(study, index):
+        return None
+    text = (
+        f"is rounded to {step:.3g} {study.units[index].output}, by more than its noise: a fit takes what is lost for "
+        "noise. Log it with more digits; if the sensor rounds it, give the study's sensor that resolution "
+        "(position_resolution)"
+    )
+    return Hint("rounded-output", text)
