@@ -1,8 +1,11 @@
 """Outputs that are rounded by more than their noise: what is told, what is not, and which warnings are left out."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from dssc_jax.flight_logs.fit.outliers import outlier_doubts, outliers
 from dssc_jax.flight_logs.hints.integrals import jumps_beside
 from dssc_jax.flight_logs.hints.rounded_outputs import output_rounding
 from dssc_jax.flight_logs.reading.reader import Column
@@ -46,3 +49,19 @@ def test_a_rounded_output_is_told_and_its_steps_are_no_jumps():
     later = np.where(TIME > 8.0, 1.0, 0.0)
     (jump,) = jumps_beside(Column(TIME, rounded(0.0) + later), rate, -1.0, 100.0)
     assert jump.size == pytest.approx(1.0, abs=0.1)
+
+
+def test_steps_of_rounding_are_no_outliers_of_a_fit():
+    """A slow way, whose readings step at a few of its samples; a larger jump is told all the same."""
+    way = 0.3 * (1.0 - np.cos(0.4 * TIME))
+
+    def doubts(values):
+        """The codes of a residual against the true way."""
+        readings = SimpleNamespace(channel=0, times=TIME, values=values, sensor=0.0)
+        residual = (values - way)[:, None]
+        problem = SimpleNamespace(study=linear(), readings=[readings], columns=lambda x: [residual])
+        return [doubt.code for doubt in outlier_doubts(problem, np.zeros(1))]
+
+    assert outliers(TIME, rounded(0.0, way=way) - way, 0.0)
+    assert doubts(rounded(0.0, way=way)) == []
+    assert doubts(rounded(0.0, way=way) + np.where(TIME > 7.0, 1.0, 0.0)) == ["output-jump"]
