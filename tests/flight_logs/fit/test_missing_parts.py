@@ -291,7 +291,7 @@ def test_an_answer_says_that_parts_were_not_tried(predictions):
     reason = replace(fitted, study=vehicle).untried_parts
     assert reason == "the study has several channels"
     assert untried_lines(reason)[0].startswith("not tried, because the study has several channels: parts that it may")
-    assert replace(fitted, cut="at the limit").untried_parts == "the search ended early"
+    assert replace(fitted, stopped=True).untried_parts == "the search was stopped"
 
 
 def test_the_speed_of_friction_in_gusts_is_that_which_the_log_shows():

@@ -84,6 +84,7 @@ class Fitted:
     rivals: tuple[RivalMinimum, ...]
     simulations: int
     cut: str  # why the search ended before it was complete; empty: it is complete
+    stopped: bool  # whether the user or a limit of time ended it, so that no further fit followed
     doubts: tuple[SignalWarning, ...]  # reasons to doubt it
 
     @property
@@ -148,7 +149,7 @@ class Fitted:
         """Why parts that the study may lack were not tried; empty: they were."""
         if len(self.study.loop.channels) > 1:
             return "the study has several channels"
-        return "the search ended early" if self.cut else ""
+        return "the search was stopped" if self.stopped else ""
 
     @property
     def warnings(self) -> tuple[SignalWarning, ...]:

@@ -384,6 +384,7 @@ def fitted_minimum(
         rivals=tuple(rivals),
         simulations=problem.count.simulations,
         cut=problem.count.reason,
+        stopped=problem.count.is_stopped,
         doubts=(
             *doubts(problem, x, results),
             *doubts_of_start,
