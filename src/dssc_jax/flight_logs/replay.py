@@ -1,6 +1,6 @@
 """A logged flight through the analysed controller, and the signals that the study's draws would log."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Annotated, NamedTuple, TypeAlias
 
@@ -21,26 +21,19 @@ from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.channel_replay import ChannelReplay
 from dssc_jax.flight_logs.hints.angle_units import angle_hints
 from dssc_jax.flight_logs.hints.attitudes import attitude_hints
-from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit, rate_hint
-from dssc_jax.flight_logs.hints.conversions import followed_conversion, rms
+from dssc_jax.flight_logs.hints.channel_hints import LoggedChannel, SignalHints, add_output_hints, add_replay_hints
+from dssc_jax.flight_logs.hints.conversions import rms
 from dssc_jax.flight_logs.hints.integrals import integral_hints
 from dssc_jax.flight_logs.hints.log_hints import LogHints
-from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
-from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.references import compared_references, study_references
 from dssc_jax.flight_logs.hints.repeated_rows import repeated_rows_hint
-from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
-from dssc_jax.flight_logs.hints.replayed_references import moved_reference
 from dssc_jax.flight_logs.hints.reset_hints import reset_hints
-from dssc_jax.flight_logs.hints.rounded_outputs import rounded_output_hint
-from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
 from dssc_jax.flight_logs.hints.starts import start_hints
 from dssc_jax.flight_logs.reading.coverage import times_text
 from dssc_jax.flight_logs.reading.reader import (
     FlightLog,
     channel_signals,
     held_samples,
-    log_signals,
     samples_within,
     signal_name,
 )
@@ -184,92 +177,50 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     loop = study.loop
     samples = samples_within(log, loop.sample_time, loop.steps)
     references = study_references(study, max(samples, 1))
+    channels = logged_channels(study, log, references)
+    comparison = compared_references(study, log, [channel.signals for channel in channels], references)
+    integrals = integral_hints(study, log)
+    gathered = SignalHints(
+        conversions=integrals.units | comparison.conversions,
+        factors=integrals.factors | time_hints(study, log),
+        jumps=integrals.jumps,
+        shifts=comparison.shifts,
+        others=comparison.others,
+        slopes=comparison.slopes,
+    )
     logged: dict[str, np.ndarray] = {}
     replays: dict[str, np.ndarray] = {}
     held_counts: dict[str, int] = {}
     not_replayed: dict[str, str] = {}
-    channels = [channel_signals(study, log, index, references[index, 0]) for index in range(len(loop.channels))]
-    comparison = compared_references(study, log, channels, references)
-    integrals = integral_hints(study, log)
-    conversions = integrals.units | comparison.conversions
-    factors = dict(integrals.factors)
-    doubt_of_times = times_text(log, LONGER * loop.sample_time * loop.steps)
-    if doubt_of_times:
-        is_counted = doubt_of_times.startswith("counts")
-        factors["t"] = Hint("row-numbers" if is_counted else "repeated-times", doubt_of_times)
-    repeated_rows = repeated_rows_hint(log.columns)
-    if repeated_rows is not None:
-        factors["t"] = repeated_rows
-    for index, (channel, units, signals) in enumerate(zip(loop.channels, study.units, channels, strict=True)):
-        logged |= {signal_name(channel, name): values for name, values in signals.items()}
-        followed_text = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""
-        if followed_text:
-            conversions.setdefault(signal_name(channel, "y"), Hint("another-unit", followed_text))
-        rounded = rounded_output_hint(study, index, signals["y"]) if "y" in signals else None
-        if rounded is not None:
-            factors.setdefault(signal_name(channel, "y"), rounded)
-        y_ref = signal_name(channel, "y_ref")
-        if y_ref in comparison.others and "y" in signals and is_reference(signals["y"], references[index, 0]):
-            text = f"looks exchanged with {y_ref}: it is the study's reference"
-            conversions[signal_name(channel, "y")] = Hint("exchanged-columns", text)
-            del comparison.others[y_ref]
+    for channel in channels:
+        logged |= {channel.signal(label): values for label, values in channel.signals.items()}
+        add_output_hints(gathered, study, channel)
         if not commands:
             continue
-        replay = ChannelReplay(study, index, references[index])
-        command = replay.command(signals)
-        name = signal_name(channel, "u_total")
-        columns = wrong_columns(replay, signals, command, conversions)
-        if columns:
-            changed = (conversions, factors, integrals.jumps, comparison.shifts, comparison.others, comparison.slopes)
-            for hints in changed:
-                drop_channel(hints, channel)
-            conversions |= columns
+        replay = ChannelReplay(study, channel.index, channel.reference)
+        command = replay.command(channel.signals)
+        add_replay_hints(gathered, log, channel, replay, command)
         if isinstance(command, str):
-            not_replayed[channel] = command
+            not_replayed[channel.name] = command
             continue
+        name = channel.signal("u_total")
         replays[name] = command
-        inputs = {label: values for label, values in signals.items() if label != "u_total"}
-        held_counts |= {signal_name(channel, label): count for label, count in held_samples(inputs).items()}
-        if "u_total" not in signals:
-            not_replayed[channel] = f"the log has no command {name} to compare with that of the analysed controller"
-            continue
-        if columns:
-            continue
-        slower = slower_controller(replay, signals, command)
-        if slower is not None:
-            factors[name] = slower
-            continue
-        unit_text = command_unit(signals["u_total"], command, units.of("u"))
-        if unit_text:
-            conversions.setdefault(name, Hint("another-unit", unit_text))
-            continue
-        hint = rate_hint(log.columns[name], loop.sample_time)
-        y = signal_name(channel, "y")
-        scaled = None if y in conversions else scaled_output(replay, signals, command)
-        if scaled is not None:
-            factors[y] = scaled.hint
-            command = scaled.command
-        has_other_reference = y_ref in comparison.shifts or y_ref in comparison.others
-        if scaled is None and y not in conversions and not has_other_reference:
-            reference = moved_reference(replay, signals, command)
-            if reference is not None:
-                comparison.shifts[y_ref] = reference.hint
-                command = reference.command
-        if hint is None and y not in conversions and not has_wrong_reference(replay, signals, command):
-            hint = command_hint(signals["u_total"], command, loop.sample_time, units.of("u"), "y_ref" in signals)
-        if hint is not None:
-            factors[name] = hint
-    conversions |= angle_hints(study, log, references)
+        inputs = {label: values for label, values in channel.signals.items() if label != "u_total"}
+        held_counts |= {channel.signal(label): count for label, count in held_samples(inputs).items()}
+        if "u_total" not in channel.signals:
+            not_replayed[channel.name] = (
+                f"the log has no command {name} to compare with that of the analysed controller"
+            )
     hints = LogHints(
-        conversions=conversions,
-        shifts=comparison.shifts,
-        slopes=comparison.slopes,
+        conversions=gathered.conversions | angle_hints(study, log, references),
+        shifts=gathered.shifts,
+        slopes=gathered.slopes,
         starts=start_hints(study, log),
         attitudes=attitude_hints(study, log),
         estimator=reset_hints(study, log),
-        factors=factors,
-        jumps=integrals.jumps,
-        others=comparison.others,
+        factors=gathered.factors,
+        jumps=gathered.jumps,
+        others=gathered.others,
     )
     return LogReplay(
         samples=samples,
@@ -284,35 +235,30 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     )
 
 
-def wrong_columns(
-    replay: ChannelReplay,
-    signals: Mapping[str, np.ndarray],
-    command: np.ndarray | str,
-    conversions: Mapping[str, Hint],
-) -> dict[str, Hint]:
-    """The hint about a channel's columns, by signal, as its controller's command for them tells; empty: none is wrong.
+def logged_channels(study: Study, log: FlightLog, references: np.ndarray) -> list[LoggedChannel]:
+    """The channels of a log.
 
     Args:
-        replay: The channel's controller.
-        signals: The channel's signals by their names without it, NaN where missing, each of shape (samples,).
-        command: The controller's command for them, shape (samples,), or why there is none.
-        conversions: What the signals alone tell; a hint of it about the same columns stays.
+        study: The study.
+        log: The flight.
+        references: The study's references and their derivatives, shape (channels, 3, samples).
     """
-    if "u_total" not in signals:
+    channels = []
+    for index, name in enumerate(study.loop.channels):
+        signals = channel_signals(study, log, index, references[index, 0])
+        channels.append(LoggedChannel(index, name, study.units[index], signals, references[index]))
+    return channels
+
+
+def time_hints(study: Study, log: FlightLog) -> dict[str, Hint]:
+    """The hint about the times ``t`` of a log: they count rows, repeat, or belong to rows written again."""
+    repeated_rows = repeated_rows_hint(log.columns)
+    if repeated_rows is not None:
+        return {"t": repeated_rows}
+    text = times_text(log, LONGER * study.loop.sample_time * study.loop.steps)
+    if not text:
         return {}
-    share = np.inf if isinstance(command, str) else command_share(signals["u_total"], command)
-    hints = column_hints(replay, signals, share)
-    for name, hint in hints.items():
-        columns = hint.text.partition(":")[0]
-        if name in conversions and conversions[name].text.startswith(columns):
-            hints[name] = conversions[name]
-    return hints
-
-
-def drop_channel(hints: dict[str, Hint], channel: str) -> None:
-    """Remove the hints about a channel's signals, which a wrong column explains."""
-    for name in log_signals((channel,)):
-        hints.pop(name, None)
+    return {"t": Hint("row-numbers" if text.startswith("counts") else "repeated-times", text)}
 
 
 def require_same_signals(log: FlightLog, replay: LogReplay) -> None:

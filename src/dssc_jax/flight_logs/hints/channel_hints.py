@@ -1,0 +1,175 @@
+"""Hints about the signals of a channel, alone and beside the analysed controller's command for them.
+
+A hint that explains others takes their place: a wrong column, for example, those about units and times of its signals.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.core.units import ChannelUnits
+from dssc_jax.flight_logs.channel_replay import ChannelReplay
+from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit, rate_hint
+from dssc_jax.flight_logs.hints.conversions import followed_conversion
+from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
+from dssc_jax.flight_logs.hints.output_steps import is_reference
+from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
+from dssc_jax.flight_logs.hints.replayed_references import moved_reference
+from dssc_jax.flight_logs.hints.rounded_outputs import rounded_output_hint
+from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
+from dssc_jax.flight_logs.reading.reader import FlightLog, log_signals, signal_name
+from dssc_jax.flight_logs.signal_warnings import Hint
+from dssc_jax.study import Study
+
+
+class LoggedChannel(NamedTuple):
+    """A channel of a log.
+
+    Args:
+        index: Position of the channel in the loop.
+        name: Its name.
+        units: Units of its signals.
+        signals: Its signals by their names without the channel, NaN where missing, shape (samples,) each.
+        reference: The study's reference and its derivatives, shape (3, samples).
+    """
+
+    index: int
+    name: str
+    units: ChannelUnits
+    signals: Mapping[str, np.ndarray]
+    reference: np.ndarray
+
+    def signal(self, label: str) -> str:
+        """Name of a signal in the log."""
+        return signal_name(self.name, label)
+
+
+@dataclass(frozen=True)
+class SignalHints:
+    """Hints by signal while they are gathered, as those of :class:`~dssc_jax.flight_logs.hints.log_hints.LogHints`."""
+
+    conversions: dict[str, Hint]
+    factors: dict[str, Hint]
+    jumps: dict[str, Hint]
+    shifts: dict[str, Hint]
+    others: dict[str, Hint]
+    slopes: dict[str, Hint]
+
+    def replace_channel(self, channel: str, hints: Mapping[str, Hint]) -> None:
+        """Put hints about a channel's columns in place of all others about its signals."""
+        for gathered in (self.conversions, self.factors, self.jumps, self.shifts, self.others, self.slopes):
+            for name in log_signals((channel,)):
+                gathered.pop(name, None)
+        self.conversions.update(hints)
+
+
+def add_output_hints(hints: SignalHints, study: Study, channel: LoggedChannel) -> None:
+    """Add the hints that a channel's output gives without its command.
+
+    Args:
+        hints: The hints so far.
+        study: The study.
+        channel: The channel.
+    """
+    if "y" not in channel.signals:
+        return
+    output = channel.signals["y"]
+    y, y_ref = channel.signal("y"), channel.signal("y_ref")
+    followed_text = followed_conversion(output, channel.reference[0], channel.units.output)
+    if followed_text:
+        hints.conversions.setdefault(y, Hint("another-unit", followed_text))
+    rounded = rounded_output_hint(study, channel.index, output)
+    if rounded is not None:
+        hints.factors.setdefault(y, rounded)
+    if y_ref in hints.others and is_reference(output, channel.reference[0]):
+        text = f"looks exchanged with {y_ref}: it is the study's reference"
+        hints.conversions[y] = Hint("exchanged-columns", text)
+        del hints.others[y_ref]
+
+
+def add_replay_hints(
+    hints: SignalHints, log: FlightLog, channel: LoggedChannel, replay: ChannelReplay, command: np.ndarray | str
+) -> None:
+    """Add the hints that the analysed controller's command for a channel's signals gives.
+
+    Args:
+        hints: The hints so far.
+        log: The log.
+        channel: The channel.
+        replay: Its controller.
+        command: The controller's command, shape (samples,), or why there is none.
+    """
+    columns = wrong_columns(replay, channel.signals, command, hints.conversions)
+    if columns:
+        hints.replace_channel(channel.name, columns)
+    elif not isinstance(command, str) and "u_total" in channel.signals:
+        add_command_hints(hints, log, channel, replay, command)
+
+
+def wrong_columns(
+    replay: ChannelReplay,
+    signals: Mapping[str, np.ndarray],
+    command: np.ndarray | str,
+    conversions: Mapping[str, Hint],
+) -> dict[str, Hint]:
+    """The hint about a channel's columns, by signal, as its controller's command for them tells; empty: none is wrong.
+
+    Args:
+        replay: The channel's controller.
+        signals: The channel's signals by their names without it, NaN where missing, each of shape (samples,).
+        command: The controller's command for them, shape (samples,), or why there is none.
+        conversions: What the signals alone tell; a hint of it about the same columns stays.
+    """
+    if "u_total" not in signals:
+        return {}
+    share = np.inf if isinstance(command, str) else command_share(signals["u_total"], command)
+    hints = column_hints(replay, signals, share)
+    for name, hint in hints.items():
+        columns = hint.text.partition(":")[0]
+        if name in conversions and conversions[name].text.startswith(columns):
+            hints[name] = conversions[name]
+    return hints
+
+
+def add_command_hints(
+    hints: SignalHints, log: FlightLog, channel: LoggedChannel, replay: ChannelReplay, command: np.ndarray
+) -> None:
+    """Add the hint about a logged command that is not the analysed controller's.
+
+    A cause that is found is removed from the controller's command before the next one is looked for.
+
+    Args:
+        hints: The hints so far.
+        log: The log.
+        channel: The channel, with a logged command.
+        replay: Its controller.
+        command: The controller's command, shape (samples,).
+    """
+    signals = channel.signals
+    logged = signals["u_total"]
+    name, y, y_ref = (channel.signal(label) for label in ("u_total", "y", "y_ref"))
+    slower = slower_controller(replay, signals, command)
+    if slower is not None:
+        hints.factors[name] = slower
+        return
+    unit_text = command_unit(logged, command, channel.units.of("u"))
+    if unit_text:
+        hints.conversions.setdefault(name, Hint("another-unit", unit_text))
+        return
+    hint = rate_hint(log.columns[name], replay.sample_time)
+    has_wrong_output = y in hints.conversions
+    scaled = None if has_wrong_output else scaled_output(replay, signals, command)
+    if scaled is not None:
+        hints.factors[y] = scaled.hint
+        command = scaled.command
+    elif not has_wrong_output and y_ref not in hints.shifts and y_ref not in hints.others:
+        reference = moved_reference(replay, signals, command)
+        if reference is not None:
+            hints.shifts[y_ref] = reference.hint
+            command = reference.command
+    if hint is None and not has_wrong_output and not has_wrong_reference(replay, signals, command):
+        hint = command_hint(logged, command, replay.sample_time, channel.units.of("u"), "y_ref" in signals)
+    if hint is not None:
+        hints.factors[name] = hint
