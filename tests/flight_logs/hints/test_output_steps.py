@@ -6,7 +6,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit.fit import fit_log
-from dssc_jax.flight_logs.hints.output_steps import RESET, step_cause
+from dssc_jax.flight_logs.hints.output_steps import RESET, WRAPPED, step_cause
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import replay_log
 from tests.flight_logs.fit.test_fit import DT, linear
@@ -71,3 +71,10 @@ def test_steps_of_a_residual_are_compared_at_times_of_the_study(flight):
     assert "the error y - y_ref" in step_cause(study, 0, [1.0, 4.0], [-1.9, 2.1])
     assert "is it the reference" in step_cause(study, 0, [1.0, 4.0], [1.9, -2.1])
     assert step_cause(study, 0, [1.0, 5.0], [-1.9, 2.1]) == step_cause(study, 0, [2.0], [0.1]) == RESET
+
+
+def test_steps_by_a_turn_are_those_of_a_wrapped_angle(flight):
+    study = flight[0]
+    angle = study.override({"units": {"output": "rad"}})
+    assert step_cause(angle, 0, [1.2, 5.0], [-6.2, 6.33]) == WRAPPED
+    assert step_cause(angle, 0, [1.2, 5.0], [-6.2, 1.0]) == step_cause(study, 0, [1.2, 5.0], [-6.2, 6.33]) == RESET

@@ -99,6 +99,28 @@ def test_an_error_in_place_of_the_output_is_named(study, sign, words):
     assert words in text
 
 
+@pytest.mark.parametrize("name", ["y", "u_total"])
+def test_an_opposite_sign_is_named_without_a_rate(study, name):
+    """A controller of the error alone gives the opposite command, too, where y and y_ref are exchanged."""
+    by_error = study.override({"controller": {"kind": "pid", "k_p": 0.3, "k_i": 0.02}})
+    draw = dj.simulate(by_error, 0)
+    columns = {signal: draw[signal].values for signal in ("y", "y_ref", "u_total")}
+    columns[name] = -columns[name]
+    log = FlightLog("flight", {signal: Column(TIME, values) for signal, values in columns.items()}, 0.0)
+    hints = replay_log(by_error, log).hints.all()
+    assert list(hints) == [name]
+    assert "opposite sign" in hints[name].text
+
+
+def test_an_origin_elsewhere_is_no_other_unit(study):
+    columns = flown()
+    columns = {**columns, "y": columns["y"] + 3.0, "y_ref": columns["y_ref"] + 3.0}
+    codes, text = told(study, columns)
+    assert codes["y_ref"] == "another-reference"
+    assert "y_ref is the study's plus 3" in text
+    assert "feet" not in text
+
+
 class FeedforwardReplay:
     """A replay of the controller u = y_ref' + 2 (y_ref - y), as that of a position by commands of a velocity."""
 

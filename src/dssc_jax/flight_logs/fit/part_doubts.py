@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.flight_logs.fit.least_squares import FitProblem
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.missing_parts import LATE_COMMAND, LATE_OUTPUT, flown, lacking_parts, part_text
 from dssc_jax.flight_logs.fit.part_fits import PartFit, fit_without_part, fitted_part
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refits import Refit
-from dssc_jax.flight_logs.fit.refusals import MUCH_LARGER, Explained, signal_and_unit
+from dssc_jax.flight_logs.fit.refusals import MOST_UNEXPLAINED, MUCH_LARGER, Explained, signal_and_unit
 from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE
 from dssc_jax.flight_logs.fit.wind_steps import fitted_wind_step, lacks_wind_step
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
@@ -116,7 +116,9 @@ def part_doubts(
     """
 
     def matters(fit: PartFit) -> bool:
-        """Whether the part changes what the fit says."""
+        """Whether the part changes what the fit says, and does not leave more."""
+        if fit.residual > result.residual and not declares_noise(problem.study):
+            return False
         explains = result.is_doubtful and fit.residual < EXPLAINED * result.residual
         return explains or largest_move(problem, minimum, fit, deviations) > LARGE_MOVE
 
@@ -143,8 +145,9 @@ def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, result: Explai
     has_gusts = declares_noise(problem.study)
 
     def matters(fit: PartFit) -> bool:
-        """Whether the part explains far more."""
-        return has_gusts or fit.residual < LARGE_PART * residual
+        """Whether the part explains far more, so that the fit would be accepted."""
+        unexplained = (fit.residual**2 - result.noise**2) / max(result.output**2, TINY)
+        return has_gusts or (fit.residual < LARGE_PART * residual and unexplained < MOST_UNEXPLAINED)
 
     starts = (minimum.x, np.zeros_like(minimum.x))
     causes = part_causes(problem, minimum, starts, has_delay, matters)
@@ -171,7 +174,7 @@ def doubt_of_refusal(problem: FitProblem, result: Explained, causes: PartCauses)
     )
     for rival in causes.rivals:
         text += f"; {part_text(rival.part, rival.size, output, command)} leaves {rival.residual:.3g} {output}"
-    if best.residual > max(MUCH_LARGER * result.limit, SMALL_PART * result.residual):
+    if best.residual > MUCH_LARGER * result.limit:
         text += ". That is still more than noise explains: another part may resemble this one"
     return SignalWarning(signal, best.part.code, f"{text[0].upper()}{text[1:]}. {best.part.remedy}")
 

@@ -78,7 +78,7 @@ def add_output_hints(hints: SignalHints, study: Study, channel: LoggedChannel) -
     output = channel.signals["y"]
     y, y_ref = channel.signal("y"), channel.signal("y_ref")
     followed_text = followed_conversion(output, channel.reference[0], channel.units.output)
-    if followed_text:
+    if followed_text and not has_unit_of_reference(hints, channel):
         hints.conversions.setdefault(y, Hint("another-unit", followed_text))
     rounded = rounded_output_hint(study, channel.index, output)
     if rounded is not None:
@@ -87,6 +87,18 @@ def add_output_hints(hints: SignalHints, study: Study, channel: LoggedChannel) -
         text = f"looks exchanged with {y_ref}: it is the study's reference"
         hints.conversions[y] = Hint("exchanged-columns", text)
         del hints.others[y_ref]
+
+
+def has_unit_of_reference(hints: SignalHints, channel: LoggedChannel) -> bool:
+    """Whether an output follows the logged reference, and that is the study's without another unit: no multiple of it.
+
+    Args:
+        hints: The hints so far.
+        channel: The channel, with an output.
+    """
+    if "y_ref" not in channel.signals or channel.signal("y_ref") in hints.conversions:
+        return False
+    return not followed_conversion(channel.signals["y"], channel.signals["y_ref"], channel.units.output)
 
 
 def add_replay_hints(

@@ -9,6 +9,10 @@ from dssc_jax.flight_logs.hints.references import references_at
 from dssc_jax.study import Study
 
 SAME_STEP = 0.2  # share of a step of the reference: closer, a step of the output is that one or its opposite
+SAME_TURN = 0.1  # share of a turn: closer, a step of an angle is one
+TURNS = {"rad": 2.0 * np.pi, "deg": 360.0}
+"""A turn, by units of angles."""
+WRAPPED = "each time by a full turn: the angle is wrapped. Unwrap it, and its reference"
 RESET = "a reset of the estimator that the log does not count, or two flights in one log. Take the part before or after"
 
 
@@ -32,6 +36,9 @@ def step_cause(study: Study, index: int, times: Sequence[float], sizes: Sequence
         times: Times of the first readings after the steps, from the study's beginning on [s].
         sizes: The steps, in the output's unit.
     """
+    turn = TURNS.get(study.units[index].output, np.inf)
+    if (np.abs(np.abs(sizes) - turn) < SAME_TURN * turn).all() and np.isfinite(turn):
+        return WRAPPED
     sample_time = study.loop.sample_time
     ends = np.concatenate([np.asarray(times) - 1.5 * sample_time, np.asarray(times) + 0.5 * sample_time])
     before, after = np.split(references_at(study, ends)[index, 0], 2)

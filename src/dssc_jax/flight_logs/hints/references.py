@@ -193,10 +193,17 @@ def other_reference_text(logged: np.ndarray, reference: np.ndarray, largest_rang
         largest_range: Largest range of the study's references in this unit: one that rests may differ by a part of it.
         unit: Unit of the output.
     """
-    difference = rms(logged - reference)
+    differences = logged - reference
+    difference = rms(differences)
     tolerance = max(OTHER * np.ptp(reference), SAME_REFERENCE * rms(reference), SAME_REFERENCE * largest_range)
     if not np.isfinite(difference) or difference <= tolerance:
         return ""
+    offset = float(np.median(differences[np.isfinite(differences)]))
+    if np.ptp(reference) > 0.0 and rms(differences - offset) <= SAME_REFERENCE * abs(offset):
+        return (
+            f"is the study's plus {offset:.4g} {unit}: if y is measured from there, too, give both columns an offset "
+            f"of {-offset:.4g}; if not, the flight had another reference than the study"
+        )
     return (
         f"differs from the study's by {difference:.3g} {unit} rms, whose range is {np.ptp(reference):.3g} {unit}, and "
         "is neither a multiple of it nor the same at other times. The draws follow the study's reference, a replay "

@@ -5,7 +5,7 @@ controller's command then is the logged one, and is not with the columns that we
 """
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,8 @@ from dssc_jax.flight_logs.signal_warnings import Hint
 
 DESCRIBED = 0.1  # largest difference of the commands with the right columns, as a share of the command's deviation
 ERROR = "seems to hold the error"
+SIGNS = ("u_total", "y")
+CLEARLY = 0.1  # share of what a sign leaves: less, and other columns are the better explanation
 EXCHANGED = ("y", "y_dot", "y_ref", "u_total")
 LEAST_VALUES = 20
 
@@ -53,14 +55,14 @@ def column_hints(replay: ChannelReplay, logged: Mapping[str, np.ndarray], presen
     if present_share <= DESCRIBED:
         return {}
     channel = replay.study.loop.channels[replay.index]
-    best = None
-    least_share = min(DESCRIBED, FEWER * present_share)
-    for candidate in (*errors_as_outputs(replay, logged), *exchanged_columns(replay, logged)):
-        command = replay.command(candidate.signals)
-        share = np.inf if isinstance(command, str) else command_share(candidate.signals["u_total"], command)
-        if share < least_share:
-            least_share = share
-            best = candidate
+    largest_share = min(DESCRIBED, FEWER * present_share)
+    sign, sign_share = best_columns(replay, opposite_signs(replay, logged), largest_share)
+    if sign is not None:
+        largest_share = CLEARLY * sign_share
+    others = (*errors_as_outputs(replay, logged), *exchanged_columns(replay, logged))
+    best, least_share = best_columns(replay, others, largest_share)
+    if best is None:
+        best, least_share = sign, sign_share
     if best is None:
         return {}
     if best.text.startswith(ERROR):
@@ -70,7 +72,40 @@ def column_hints(replay: ChannelReplay, logged: Mapping[str, np.ndarray], presen
             return {signal_name(channel, "y"): another_output(replay, logged, best, least_share, reference_share)}
     u = signal_name(channel, "u_total")
     reason = f"with that, the analysed controller gives the logged {u} to {100 * least_share:.2g} % of what it varies"
-    return {signal_name(channel, best.signal): Hint("exchanged-columns", f"{best.text}: {reason}")}
+    code = "another-unit" if best is sign else "exchanged-columns"
+    return {signal_name(channel, best.signal): Hint(code, f"{best.text}: {reason}")}
+
+
+def best_columns(
+    replay: ChannelReplay, candidates: Iterable[OtherColumns], largest_share: float
+) -> tuple[OtherColumns | None, float]:
+    """The columns with which the controller best gives the logged command, and the share by :func:`command_share`.
+
+    Args:
+        replay: The channel's controller.
+        candidates: The columns to try.
+        largest_share: Share below which columns count; None is returned if there are none.
+    """
+    best = None
+    least_share = largest_share
+    for candidate in candidates:
+        command = replay.command(candidate.signals)
+        share = np.inf if isinstance(command, str) else command_share(candidate.signals["u_total"], command)
+        if share < least_share:
+            least_share = share
+            best = candidate
+    return best, least_share
+
+
+def opposite_signs(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> Iterator[OtherColumns]:
+    """The hypotheses that a command, or an output, has the opposite sign."""
+    channel = replay.study.loop.channels[replay.index]
+    for name in SIGNS:
+        if name in logged:
+            text = "has the opposite sign"
+            if name == "u_total" and not np.any(reference_of(replay, logged)):
+                text += f", or {signal_name(channel, 'y')} has"  # a controller of y alone does not tell which
+            yield OtherColumns(name, text, {**logged, name: -logged[name]})
 
 
 def reference_of(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> np.ndarray:
