@@ -5,7 +5,6 @@ A hint that explains others takes their place: a wrong column, for example, thos
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +23,8 @@ from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
 
-class LoggedChannel(NamedTuple):
+@dataclass(frozen=True)
+class LoggedChannel:
     """A channel of a log.
 
     Args:
