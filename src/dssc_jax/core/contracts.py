@@ -296,6 +296,7 @@ class Sensor(NamedTuple):
             refuse it.
         transparent: ``(params) -> bool``: whether it passes y and y' on at once, but for noise, constant errors and
             rounding. The continuous-time analysis leaves a sensor out, and says so of one that is not transparent.
+        resolution: ``(params) -> step`` of which its readings of y are multiples, or None; None: it rounds none.
     """
 
     params: type
@@ -304,6 +305,7 @@ class Sensor(NamedTuple):
     prepare: Callable[[Params], Params] = unchanged_params
     smooth: Declaration = None
     transparent: Callable[[Params], bool] = never
+    resolution: Callable[[Params], Scalar | None] | None = None
 
 
 class Differentiator(NamedTuple):

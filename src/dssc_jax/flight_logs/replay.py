@@ -21,9 +21,9 @@ from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.channel_replay import ChannelReplay
 from dssc_jax.flight_logs.hints.angle_units import angle_hints
 from dssc_jax.flight_logs.hints.attitudes import attitude_hints
-from dssc_jax.flight_logs.hints.channel_hints import LoggedChannel, SignalHints, add_output_hints, add_replay_hints
+from dssc_jax.flight_logs.hints.channel_hints import LoggedChannel, add_output_hints, add_replay_hints
 from dssc_jax.flight_logs.hints.conversions import rms
-from dssc_jax.flight_logs.hints.integrals import integral_hints
+from dssc_jax.flight_logs.hints.integrals import add_integral_hints
 from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.references import compared_references, study_references
 from dssc_jax.flight_logs.hints.repeated_rows import repeated_rows_hint
@@ -178,28 +178,22 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     samples = samples_within(log, loop.sample_time, loop.steps)
     references = study_references(study, max(samples, 1))
     channels = logged_channels(study, log, references)
-    comparison = compared_references(study, log, [channel.signals for channel in channels], references)
-    integrals = integral_hints(study, log)
-    gathered = SignalHints(
-        conversions=integrals.units | comparison.conversions,
-        factors=integrals.factors | time_hints(study, log),
-        jumps=integrals.jumps,
-        shifts=comparison.shifts,
-        others=comparison.others,
-        slopes=comparison.slopes,
-    )
+    hints = LogHints()
+    add_integral_hints(hints, study, log)
+    comparison = compared_references(hints, study, log, [channel.signals for channel in channels], references)
+    hints.factors.update(time_hints(study, log))
     logged: dict[str, np.ndarray] = {}
     replays: dict[str, np.ndarray] = {}
     held_counts: dict[str, int] = {}
     not_replayed: dict[str, str] = {}
     for channel in channels:
         logged |= {channel.signal(label): values for label, values in channel.signals.items()}
-        add_output_hints(gathered, study, channel)
+        add_output_hints(hints, study, channel)
         if not commands:
             continue
         replay = ChannelReplay(study, channel.index, channel.reference)
         command = replay.command(channel.signals)
-        add_replay_hints(gathered, log, channel, replay, command)
+        add_replay_hints(hints, log, channel, replay, command)
         if isinstance(command, str):
             not_replayed[channel.name] = command
             continue
@@ -211,17 +205,10 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             not_replayed[channel.name] = (
                 f"the log has no command {name} to compare with that of the analysed controller"
             )
-    hints = LogHints(
-        conversions=gathered.conversions | angle_hints(study, log, references),
-        shifts=gathered.shifts,
-        slopes=gathered.slopes,
-        starts=start_hints(study, log),
-        attitudes=attitude_hints(study, log),
-        estimator=reset_hints(study, log),
-        factors=gathered.factors,
-        jumps=gathered.jumps,
-        others=gathered.others,
-    )
+    hints.conversions.update(angle_hints(study, log, references))
+    hints.starts.update(start_hints(study, log))
+    hints.attitudes.update(attitude_hints(study, log))
+    hints.estimator.update(reset_hints(study, log))
     return LogReplay(
         samples=samples,
         logged=logged,

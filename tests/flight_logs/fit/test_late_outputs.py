@@ -11,7 +11,7 @@ from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.prediction import prediction
-from dssc_jax.flight_logs.fit.refusals import Unexplained
+from dssc_jax.flight_logs.fit.refusals import Unexplained, explain
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from tests.flight_logs.fit.test_fit import DT, linear, output
 
@@ -124,7 +124,8 @@ def test_a_search_that_ended_early_tells_a_delay_by_one_simulation(predictions, 
     problem = FitProblem(study, NAMES, predictions[NAMES], sampled_log(study, log))
     problem.count.simulations = problem.count.limits.simulations
     x = (np.array([1.0, 0.9]) - problem.medians) / problem.widths
-    texts = [doubt.text for doubt in delay_doubts(problem, Minimum(x, problem.normal_equations(x), 1))]
+    minimum = Minimum(x, problem.normal_equations(x), 1)
+    texts = [doubt.text for doubt in delay_doubts(problem, minimum, explain(problem, x))]
     if late == 0:
         assert texts == []
         return

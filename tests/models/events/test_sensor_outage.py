@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.core.events import Wrapped
+from dssc_jax.models.events.sensor_outage import SENSOR_OUTAGE
+from dssc_jax.models.sensors import IDEAL
+from dssc_jax.models.sensors.noisy import NOISY, NoisyParams
 from tests.models.events.test_events import BASE
 
 PLANT = {"kind": "uav", "vehicle": "m600", "position": [0.3, 0.0, 0.0], "velocity": [0.5, 0.0, 0.0]}
@@ -38,3 +42,10 @@ def test_an_outage_shows_the_last_reading_or_the_first_one(sensor, at):
     np.testing.assert_array_equal(found[:, begin : begin + 20], np.tile(shown[:, None], 20))
     assert np.all(found[:, :begin] == plain[:, :begin])
     assert not np.array_equal(found[:, begin + 20 :], np.tile(shown[:, None], 50 - begin - 20))
+
+
+def test_a_sensor_with_an_outage_rounds_as_without():
+    params = NoisyParams(position_resolution=0.1)
+    event = SENSOR_OUTAGE.params(at=1.0, duration=0.2)
+    assert SENSOR_OUTAGE.wrap(NOISY).resolution(Wrapped(params, event)) == 0.1
+    assert SENSOR_OUTAGE.wrap(IDEAL).resolution(Wrapped(IDEAL.params(), event)) is None

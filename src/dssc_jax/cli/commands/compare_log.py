@@ -1,7 +1,7 @@
 """dssc-jax compare-log: logged flights beside the study's draws, or the laws that a flight supports."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from dssc_jax.cli.analysing import finish, free_folder, save_text
 from dssc_jax.cli.declarations.flight import CompareLog
@@ -151,7 +151,7 @@ def print_fit(fitted: Fitted, study: Study, replay: LogReplay, options: CompareL
         options: Options of the command.
     """
     # hints on starts doubt that the flight starts where the study does, and the fit has found that it does
-    replay = replay._replace(hints=replay.hints._replace(starts={}))
+    replay = replay._replace(hints=replace(replay.hints, starts={}))
     warnings = joined_warnings(replay.warnings, fitted.warnings)
     summary = fitted.summary()
     summary |= {"identifiable": True, "explained": True, "file": str(options.out) if options.out else None}

@@ -81,7 +81,7 @@ def late_command(problem: FitProblem, minimum: Minimum) -> Delay | None:
 
 
 def command_delay_doubts(
-    problem: FitProblem, minimum: Minimum, results: Sequence[Explained] = ()
+    problem: FitProblem, minimum: Minimum, results: Sequence[Explained]
 ) -> tuple[SignalWarning, ...]:
     """The doubt about commands that act later or earlier than they are logged, with the remedy.
 
@@ -90,7 +90,7 @@ def command_delay_doubts(
     Args:
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
-        results: How well the study describes each channel; empty: what a delay leaves of the residual is not told.
+        results: How well the study describes each channel.
     """
     study = problem.study
     delay = late_command(problem, minimum)

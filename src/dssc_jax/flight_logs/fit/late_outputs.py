@@ -153,7 +153,7 @@ def replace_prediction(problem: FitProblem, prediction: tuple[np.ndarray, np.nda
     return problem
 
 
-def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explained] = ()) -> tuple[SignalWarning, ...]:
+def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
     """The doubt about outputs, or commands, that are later or earlier than the study predicts, with the remedy.
 
     The estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
@@ -161,7 +161,7 @@ def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explai
     Args:
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
-        results: How well the study describes each channel; empty: what a delay leaves of the residual is not told.
+        results: How well the study describes each channel.
     """
     study = problem.study
     if problem.count.reason:

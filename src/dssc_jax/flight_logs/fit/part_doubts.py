@@ -1,6 +1,6 @@
 """What a fit says of a part that the study lacks: the best one, those that explain the flight nearly as well, and why.
 
-A delay and a lag of the same time move the outputs alike, so a delay that has been told is compared with the parts.
+A delay and a lag of the same time move the outputs alike, so delays are compared with the parts.
 """
 
 import math
@@ -208,7 +208,8 @@ def doubt_of(
     others = ""
     for rival in causes.rivals:
         words = part_text(rival.part, rival.size, output, command)
-        others += f"; {words} explains it nearly as well, with a {name} of {problem.values(rival.x)[place]:.4g}"
+        explains = "explains it better" if rival.gain > best.gain else "explains it nearly as well"
+        others += f"; {words} {explains}, with a {name} of {problem.values(rival.x)[place]:.4g}"
     words = part_text(best.part, best.size, output, command)
     explains = (
         f"{words}, which the study lacks, would explain part of the residual of {signal} (p = {best.p_value:.1g})"

@@ -22,13 +22,13 @@ def remaining_text(problem: FitProblem, minimum: Minimum, delay: Delay, results:
         problem: The problem.
         minimum: The minimum without the delay.
         delay: The delay.
-        results: How well the study describes each channel without the delay; empty: nothing is said.
+        results: How well the study describes each channel without the delay.
     """
     predicted, _ = problem.predict(problem.values(minimum.x), problem.log.commands)
     samples = delay.time / problem.study.loop.sample_time
     sentences = []
     shifted = dict(zip(delay.channels, zip(delay.unshifted, delay.shifted, strict=True), strict=True))
-    for place, (readings, result) in enumerate(zip(problem.readings, results, strict=False)):
+    for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
         if readings.channel not in shifted or not result.is_doubtful:
             continue
         before, after = shifted[readings.channel]

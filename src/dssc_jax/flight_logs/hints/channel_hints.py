@@ -12,13 +12,14 @@ from dssc_jax.core.units import ChannelUnits
 from dssc_jax.flight_logs.channel_replay import ChannelReplay
 from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit, rate_hint
 from dssc_jax.flight_logs.hints.conversions import followed_conversion
+from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
 from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
 from dssc_jax.flight_logs.hints.replayed_references import moved_reference
 from dssc_jax.flight_logs.hints.rounded_outputs import rounded_output_hint
 from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
-from dssc_jax.flight_logs.reading.reader import FlightLog, log_signals, signal_name
+from dssc_jax.flight_logs.reading.reader import FlightLog, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
@@ -46,26 +47,7 @@ class LoggedChannel:
         return signal_name(self.name, label)
 
 
-@dataclass(frozen=True)
-class SignalHints:
-    """Hints by signal while they are gathered, as those of :class:`~dssc_jax.flight_logs.hints.log_hints.LogHints`."""
-
-    conversions: dict[str, Hint]
-    factors: dict[str, Hint]
-    jumps: dict[str, Hint]
-    shifts: dict[str, Hint]
-    others: dict[str, Hint]
-    slopes: dict[str, Hint]
-
-    def replace_channel(self, channel: str, hints: Mapping[str, Hint]) -> None:
-        """Put hints about a channel's columns in place of all others about its signals."""
-        for gathered in (self.conversions, self.factors, self.jumps, self.shifts, self.others, self.slopes):
-            for name in log_signals((channel,)):
-                gathered.pop(name, None)
-        self.conversions.update(hints)
-
-
-def add_output_hints(hints: SignalHints, study: Study, channel: LoggedChannel) -> None:
+def add_output_hints(hints: LogHints, study: Study, channel: LoggedChannel) -> None:
     """Add the hints that a channel's output gives without its command.
 
     Args:
@@ -78,7 +60,7 @@ def add_output_hints(hints: SignalHints, study: Study, channel: LoggedChannel) -
     output = channel.signals["y"]
     y, y_ref = channel.signal("y"), channel.signal("y_ref")
     followed_text = followed_conversion(output, channel.reference[0], channel.units.output)
-    if followed_text and not has_unit_of_reference(hints, channel):
+    if followed_text and not follows_logged_reference(hints, channel):
         hints.conversions.setdefault(y, Hint("another-unit", followed_text))
     rounded = rounded_output_hint(study, channel.index, output)
     if rounded is not None:
@@ -89,8 +71,8 @@ def add_output_hints(hints: SignalHints, study: Study, channel: LoggedChannel) -
         del hints.others[y_ref]
 
 
-def has_unit_of_reference(hints: SignalHints, channel: LoggedChannel) -> bool:
-    """Whether an output follows the logged reference, and that is the study's without another unit: no multiple of it.
+def follows_logged_reference(hints: LogHints, channel: LoggedChannel) -> bool:
+    """Whether an output follows no multiple of the logged reference, and that is in the study's unit.
 
     Args:
         hints: The hints so far.
@@ -102,7 +84,7 @@ def has_unit_of_reference(hints: SignalHints, channel: LoggedChannel) -> bool:
 
 
 def add_replay_hints(
-    hints: SignalHints, log: FlightLog, channel: LoggedChannel, replay: ChannelReplay, command: np.ndarray | str
+    hints: LogHints, log: FlightLog, channel: LoggedChannel, replay: ChannelReplay, command: np.ndarray | str
 ) -> None:
     """Add the hints that the analysed controller's command for a channel's signals gives.
 
@@ -115,7 +97,7 @@ def add_replay_hints(
     """
     columns = wrong_columns(replay, channel.signals, command, hints.conversions)
     if columns:
-        hints.replace_channel(channel.name, columns)
+        hints.replace_columns(channel.name, columns)
     elif not isinstance(command, str) and "u_total" in channel.signals:
         add_command_hints(hints, log, channel, replay, command)
 
@@ -146,7 +128,7 @@ def wrong_columns(
 
 
 def add_command_hints(
-    hints: SignalHints, log: FlightLog, channel: LoggedChannel, replay: ChannelReplay, command: np.ndarray
+    hints: LogHints, log: FlightLog, channel: LoggedChannel, replay: ChannelReplay, command: np.ndarray
 ) -> None:
     """Add the hint about a logged command that is not the analysed controller's.
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from dssc_jax.flight_logs.hints.conversions import OPPOSITE, RATE_CONVERSIONS
+from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.output_steps import step_cause
 from dssc_jax.flight_logs.hints.rounded_outputs import AT_MOST, output_rounding
 from dssc_jax.flight_logs.reading.held_outputs import stuck_span
@@ -176,20 +177,6 @@ def usual_size(values: np.ndarray) -> float:
     return TO_DEVIATION * float(np.median(np.abs(values)))
 
 
-class IntegralHints(NamedTuple):
-    """Hints about signals that contradict each other, by signal.
-
-    Args:
-        units: One of them is in another unit, has the opposite sign, or is a copy of the other or exchanged with it.
-        factors: They differ by another factor, or one of them sticks.
-        jumps: One jumps where the other has no peak.
-    """
-
-    units: dict[str, Hint]
-    factors: dict[str, Hint]
-    jumps: dict[str, Hint]
-
-
 def are_copies(first: Column | None, second: Column | None) -> bool:
     """Whether two columns that are logged, and that move, hold the same numbers."""
     if first is None or second is None:
@@ -205,19 +192,18 @@ def is_still(column: Column) -> bool:
     return finite_values.size > 0 and float(finite_values.min()) == float(finite_values.max())
 
 
-def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
-    """Hints about copied columns, outputs that stick, and outputs that are not the integrals of their derivatives.
+def add_integral_hints(hints: LogHints, study: Study, log: FlightLog) -> None:
+    """Add the hints about copied columns, outputs that stick, and outputs that do not integrate their derivatives.
 
     Copies are sought in whole columns, all else within the study's duration. In a log with jumps of an estimator there
     are hints about copies alone. Angles, which are logged in one turn, are compared with no integral.
     """
-    hints = IntegralHints({}, {}, {})
     loop = study.loop
     for channel in loop.channels:
-        hints.units.update(copy_hints(log, channel))
+        hints.conversions.update(copy_hints(log, channel))
     end = last_sample_time(study, log)
     if any(log.start < reset.time <= end and not reset.is_removed for reset in log.resets):
-        return hints
+        return
     for index, channel in enumerate(loop.channels):
         y_name = signal_name(channel, "y")
         rate_name = signal_name(channel, "y_dot")
@@ -235,10 +221,9 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
         if stillness:
             hints.factors[rate_name] = Hint("still-rate", stillness)
             continue
-        is_copied = y_name in hints.units or rate_name in hints.units
+        is_copied = y_name in hints.conversions or rate_name in hints.conversions
         if not is_copied and channel not in loop.plant.angles:
-            add_integral_hints(hints, study, index, log)
-    return hints
+            compare_with_integral(hints, study, index, log)
 
 
 def still_text(y: Column, rate: Column, y_name: str, begin: float, end: float) -> str:
@@ -286,7 +271,7 @@ def stuck_text(begin: float, end: float) -> str:
     )
 
 
-def add_integral_hints(hints: IntegralHints, study: Study, index: int, log: FlightLog) -> None:
+def compare_with_integral(hints: LogHints, study: Study, index: int, log: FlightLog) -> None:
     """Compare a channel's output with the integral of its derivative, and add a hint where they differ."""
     channel = study.loop.channels[index]
     unit = study.units[index].output
@@ -297,10 +282,11 @@ def add_integral_hints(hints: IntegralHints, study: Study, index: int, log: Flig
     end = last_sample_time(study, log)
     factor = integral_factor(y, rate, log.start, end)
     if is_opposite(y, rate, factor, log.start, end):
-        hints.units[y_name] = Hint("another-unit", f"is the integral of {rate_name} {OPPOSITE}")
+        hints.conversions[y_name] = Hint("another-unit", f"is the integral of {rate_name} {OPPOSITE}")
         return
     if are_exchanged(y, rate, log.start, end):
-        hints.units[y_name] = Hint("exchanged-columns", f"looks exchanged with {rate_name}, which is its integral")
+        text = f"looks exchanged with {rate_name}, which is its integral"
+        hints.conversions[y_name] = Hint("exchanged-columns", text)
         return
     jumps = jumps_beside(y, rate, log.start, end)
     if jumps:
@@ -315,16 +301,16 @@ def add_integral_hints(hints: IntegralHints, study: Study, index: int, log: Flig
         add_factor_hint(hints, factor, y_name, rate_name, unit)
 
 
-def add_factor_hint(hints: IntegralHints, factor: Factor, y_name: str, rate_name: str, unit: str) -> None:
+def add_factor_hint(hints: LogHints, factor: Factor, y_name: str, rate_name: str, unit: str) -> None:
     """Say what the factor between an output and the integral of its derivative means: a unit, a sign or a clock."""
     changes_less = abs(factor.value) < 1.0  # the output, than the integral
     multiple = unit_text(factor.value, unit)
     inverse = unit_text(1.0 / factor.value, unit)
     if inverse and changes_less:
-        hints.units[rate_name] = Hint("another-unit", f"is the derivative of {y_name} {inverse}")
+        hints.conversions[rate_name] = Hint("another-unit", f"is the derivative of {y_name} {inverse}")
         return
     if multiple:
-        hints.units[y_name] = Hint("another-unit", f"is the integral of {rate_name} {multiple}")
+        hints.conversions[y_name] = Hint("another-unit", f"is the integral of {rate_name} {multiple}")
         return
     change = f"changes by {factor.value:.4g} ± {factor.deviation:.2g} times the integral of {rate_name}"
     if factor.value < 0.0:

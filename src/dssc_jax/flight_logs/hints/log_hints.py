@@ -1,17 +1,18 @@
-"""All hints about a log, by what they concern."""
+"""All hints about a log, by what they concern, gathered one after another."""
 
 from collections.abc import Mapping
-from types import MappingProxyType
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
+from dssc_jax.flight_logs.reading.reader import log_signals
 from dssc_jax.flight_logs.signal_warnings import Hint
 
 
-class LogHints(NamedTuple):
+@dataclass(frozen=True)
+class LogHints:
     """Why a log may contradict its study, in words for each signal or number.
 
     Args:
-        conversions: Signals that are the study's in another unit, sign or column.
+        conversions: Signals that are the study's in another unit, sign or column, or each other's.
         shifts: References that are the study's at another time, or by another clock.
         slopes: Rates that are not the slope of the study's reference.
         starts: Numbers at which the study starts while the flight cannot have.
@@ -23,15 +24,22 @@ class LogHints(NamedTuple):
         others: References that are not the study's, for no reason that is known.
     """
 
-    conversions: Mapping[str, Hint]
-    shifts: Mapping[str, Hint]
-    slopes: Mapping[str, Hint] = MappingProxyType({})
-    starts: Mapping[str, Hint] = MappingProxyType({})
-    attitudes: Mapping[str, Hint] = MappingProxyType({})
-    estimator: Mapping[str, Hint] = MappingProxyType({})
-    factors: Mapping[str, Hint] = MappingProxyType({})
-    jumps: Mapping[str, Hint] = MappingProxyType({})
-    others: Mapping[str, Hint] = MappingProxyType({})
+    conversions: dict[str, Hint] = field(default_factory=dict)
+    shifts: dict[str, Hint] = field(default_factory=dict)
+    slopes: dict[str, Hint] = field(default_factory=dict)
+    starts: dict[str, Hint] = field(default_factory=dict)
+    attitudes: dict[str, Hint] = field(default_factory=dict)
+    estimator: dict[str, Hint] = field(default_factory=dict)
+    factors: dict[str, Hint] = field(default_factory=dict)
+    jumps: dict[str, Hint] = field(default_factory=dict)
+    others: dict[str, Hint] = field(default_factory=dict)
+
+    def replace_columns(self, channel: str, hints: Mapping[str, Hint]) -> None:
+        """Put hints about the columns of a channel in place of all others about its signals."""
+        for gathered in (self.conversions, self.factors, self.jumps, self.shifts, self.others, self.slopes):
+            for name in log_signals((channel,)):
+                gathered.pop(name, None)
+        self.conversions.update(hints)
 
     def all(self) -> dict[str, Hint]:
         """All of them, by signal or number."""

@@ -36,8 +36,8 @@ def step_cause(study: Study, index: int, times: Sequence[float], sizes: Sequence
         times: Times of the first readings after the steps, from the study's beginning on [s].
         sizes: The steps, in the output's unit.
     """
-    turn = TURNS.get(study.units[index].output, np.inf)
-    if (np.abs(np.abs(sizes) - turn) < SAME_TURN * turn).all() and np.isfinite(turn):
+    turn = TURNS.get(study.units[index].output, 0.0)
+    if (np.abs(np.abs(sizes) - turn) < SAME_TURN * turn).all():
         return WRAPPED
     sample_time = study.loop.sample_time
     ends = np.concatenate([np.asarray(times) - 1.5 * sample_time, np.asarray(times) + 0.5 * sample_time])

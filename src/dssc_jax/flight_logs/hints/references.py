@@ -17,6 +17,7 @@ from dssc_jax.flight_logs.hints.conversions import (
     reference_shift,
     rms,
 )
+from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.reference_clocks import StretchedReference, fine_times, reference_stretch, stretch_text
 from dssc_jax.flight_logs.reading.reader import FlightLog, first_time, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
@@ -36,18 +37,10 @@ class ComparedReferences(NamedTuple):
     Args:
         differences: Largest difference of y_ref, by channel.
         rates: Largest difference of y_ref_dot, at the times of the log, by channel.
-        conversions: Signals that are the study's in another unit, sign or column, each with the words for it.
-        shifts: References that are the study's at another time, or by another clock.
-        others: References that are not the study's, for no reason that is known.
-        slopes: Rates that are not the slope of the study's reference, though the reference is.
     """
 
     differences: dict[str, float]
     rates: dict[str, float]
-    conversions: dict[str, Hint]
-    shifts: dict[str, Hint]
-    others: dict[str, Hint]
-    slopes: dict[str, Hint]
 
 
 def median_values(study: Study) -> dict[str, float]:
@@ -74,18 +67,23 @@ def study_references(study: Study, samples: int) -> np.ndarray:
 
 
 def compared_references(
-    study: Study, log: FlightLog, signals: Sequence[Mapping[str, np.ndarray]], references: np.ndarray
+    hints: LogHints,
+    study: Study,
+    log: FlightLog,
+    signals: Sequence[Mapping[str, np.ndarray]],
+    references: np.ndarray,
 ) -> ComparedReferences:
-    """Compare the log's references with the study's.
+    """Compare the log's references with the study's, and add the hints about them.
 
     Args:
+        hints: The hints so far.
         study: The study, without a sweep.
         log: The flight.
         signals: The logged signals of each channel at the study's samples, NaN where missing.
         references: The study's, shape (channels, 3, samples).
     """
     loop = study.loop
-    comparison = ComparedReferences({}, {}, {}, {}, {}, {})
+    comparison = ComparedReferences({}, {})
     rates = rate_distances(study, log)
     unexplained: list[int] = []
     logged = {index: part["y_ref"] for index, part in enumerate(signals) if "y_ref" in part}
@@ -98,9 +96,9 @@ def compared_references(
         shift = 0 if text else reference_shift(values, reference)
         if text:
             is_exchanged = text.startswith("is the study's of ")
-            comparison.conversions[name] = Hint("exchanged-columns" if is_exchanged else "another-unit", text)
+            hints.conversions[name] = Hint("exchanged-columns" if is_exchanged else "another-unit", text)
         elif shift and all(is_shifted(values, references[other, 0], shift) for other, values in logged.items()):
-            comparison.shifts[name] = Hint("shifted-reference", shifted_text(log, shift * loop.sample_time))
+            hints.shifts[name] = Hint("shifted-reference", shifted_text(log, shift * loop.sample_time))
         elif not is_same_reference(values, reference):
             unexplained.append(index)
         if channel in rates:
@@ -110,12 +108,12 @@ def compared_references(
             is_same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
             slope_text = wrong_slope_text(distance, rate, study.units[index].of("y/s")) if is_moving and is_same else ""
             if slope_text:
-                comparison.slopes[signal_name(channel, "y_ref_dot")] = Hint("reference-slope", slope_text)
+                hints.slopes[signal_name(channel, "y_ref_dot")] = Hint("reference-slope", slope_text)
     stretch = log_stretch(study, log, references.shape[2]) if unexplained else None
     for index in unexplained:
         name = signal_name(loop.channels[index], "y_ref")
         if stretch is not None:
-            comparison.shifts[name] = Hint("clock-rate", stretch_text(log, stretch))
+            hints.shifts[name] = Hint("clock-rate", stretch_text(log, stretch))
             continue
         unit = study.units[index].output
         same_unit = [units.output == unit for units in study.units]
@@ -127,9 +125,9 @@ def compared_references(
                 f"is {factor:.4g} times the study's: a scale of {1.0 / factor:.4g} for its column mends it. If the "
                 "flight had that reference, give it to the study"
             )
-            comparison.others[name] = Hint("wrong-scale", text)
+            hints.others[name] = Hint("wrong-scale", text)
         elif text:
-            comparison.others[name] = Hint("another-reference", text)
+            hints.others[name] = Hint("another-reference", text)
     return comparison
 
 

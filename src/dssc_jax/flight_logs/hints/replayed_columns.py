@@ -59,8 +59,8 @@ def column_hints(replay: ChannelReplay, logged: Mapping[str, np.ndarray], presen
     sign, sign_share = best_columns(replay, opposite_signs(replay, logged), largest_share)
     if sign is not None:
         largest_share = CLEARLY * sign_share
-    others = (*errors_as_outputs(replay, logged), *exchanged_columns(replay, logged))
-    best, least_share = best_columns(replay, others, largest_share)
+    exchanges = (*errors_as_outputs(replay, logged), *exchanged_columns(replay, logged))
+    best, least_share = best_columns(replay, exchanges, largest_share)
     if best is None:
         best, least_share = sign, sign_share
     if best is None:

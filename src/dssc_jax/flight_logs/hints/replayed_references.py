@@ -35,7 +35,7 @@ def moved(values: np.ndarray, shift: int) -> np.ndarray:
     return values[rows]
 
 
-def given_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def replayed_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The reference with which a replay computes, as far as it is known, each of shape (samples,)."""
     signals = {name: forward_filled(logged[name]) for name in SIGNALS if has_values(logged, name)}
     if "y_ref" not in signals or is_close(signals["y_ref"], replay.reference[0]):
@@ -75,7 +75,7 @@ def moved_reference(
     """
     u = logged["u_total"]
     share = command_share(u, command)
-    reference = given_reference(replay, logged)
+    reference = replayed_reference(replay, logged)
     if not DESCRIBED < share < np.inf or not np.ptp(reference["y_ref"]) > 0.0:
         return None
     sample_time = replay.study.loop.sample_time

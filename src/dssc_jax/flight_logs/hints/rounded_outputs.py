@@ -45,10 +45,12 @@ def output_rounding(values: np.ndarray) -> float:
 
 
 def declared_resolution(study: Study, index: int) -> float:
-    """The resolution of y that the sensor of a channel has in the study, at the median of its law; 0 without one."""
-    sensor = study.params(median_values(study)).sensor[index]
-    resolution = getattr(sensor, "position_resolution", None)
-    return 0.0 if resolution is None else float(resolution)
+    """The step to which the sensor of a channel rounds y in the study, at the median of its law; 0: it rounds none."""
+    sensor = study.loop.sensor[index]
+    if sensor.resolution is None:
+        return 0.0
+    step = sensor.resolution(study.params(median_values(study)).sensor[index])
+    return 0.0 if step is None else float(step)
 
 
 def rounded_output_hint(study: Study, index: int, values: np.ndarray) -> Hint | None:

@@ -26,11 +26,11 @@ class CommandClock(NamedTuple):
     """The samples at which a controller gives commands.
 
     Args:
-        every: Number N of samples from one command to the next.
+        stride: Number N of samples from one command to the next.
         first: The first sample with a command.
     """
 
-    every: int
+    stride: int
     first: int
 
 
@@ -44,12 +44,12 @@ def command_clock(logged: np.ndarray) -> CommandClock | None:
     changes = rows[1:][np.diff(logged[rows]) != 0.0]
     if len(changes) < LEAST_CHANGES:
         return None
-    for every in range(min(MOST_SAMPLES, len(logged) // LEAST_CHANGES), 1, -1):
-        counts = np.bincount(changes % every, minlength=every)
+    for stride in range(min(MOST_SAMPLES, len(logged) // LEAST_CHANGES), 1, -1):
+        counts = np.bincount(changes % stride, minlength=stride)
         first = int(np.argmax(counts))
-        is_stated = counts[first] >= STATED * len(range(first, len(logged), every))
+        is_stated = counts[first] >= STATED * len(range(first, len(logged), stride))
         if counts[first] >= REGULAR * len(changes) and is_stated:
-            return CommandClock(every, first)
+            return CommandClock(stride, first)
     return None
 
 
@@ -64,7 +64,7 @@ def slower_command(
         clock: The samples at which it computes.
         sample_time: The time for which it integrates and differentiates [s].
     """
-    rows = slice(clock.first, None, clock.every)
+    rows = slice(clock.first, None, clock.stride)
     slower = ChannelReplay(replay.study, replay.index, replay.reference[:, rows], sample_time)
     signals = {}
     for name, values in logged.items():
@@ -92,10 +92,10 @@ def slower_controller(replay: ChannelReplay, logged: Mapping[str, np.ndarray], c
     if clock is None:
         return None
     sampled = np.full(len(u), np.nan)
-    sampled[clock.first :: clock.every] = command[clock.first :: clock.every]
+    sampled[clock.first :: clock.stride] = command[clock.first :: clock.stride]
     held_share = command_share(u, forward_filled(sampled))
     believed_time = replay.study.loop.sample_time
-    time = clock.every * believed_time
+    time = clock.stride * believed_time
     shares = {}
     for integrated_time in (time, believed_time):
         slower = slower_command(replay, logged, clock, integrated_time)
@@ -111,7 +111,7 @@ def slower_controller(replay: ChannelReplay, logged: Mapping[str, np.ndarray], c
             f"two samples, or set loop.sample_time = {time:.4g} with gains that give the same command"
         )
     text = (
-        f"is that of a controller that computes at every {ordinal(clock.every)} sample of the study only, each "
+        f"is that of a controller that computes at every {ordinal(clock.stride)} sample of the study only, each "
         f"{time:.4g} s, and holds its command between: replayed so, the analysed controller gives it to "
         f"{100.0 * shares[best]:.2g} % of what it varies, and computed at every sample to {100.0 * share:.2g} %; "
         f"{remedy}"

@@ -49,7 +49,11 @@ def wrap(sensor: Sensor) -> Sensor:
         y_dot = jnp.where(frozen, state.shown.y_dot, reading.y_dot)
         return OutageState(inner, Measurement(y, y_dot)), reading._replace(y=y, y_dot=y_dot)
 
-    return Sensor(Wrapped, init, step)
+    def resolution(params: Wrapped) -> Scalar | None:
+        """The step to which the sensor rounds y."""
+        return None if sensor.resolution is None else sensor.resolution(params.inner)
+
+    return Sensor(Wrapped, init, step, resolution=resolution)
 
 
 SENSOR_OUTAGE = SensorEvent(OutageParams, wrap, "the reading of a sensor")

@@ -202,4 +202,9 @@ def is_transparent(params: NoisyParams) -> bool:
     return is_timely and largest_value(params.loss) == 0.0 and largest_value(params.jitter) == 0.0
 
 
-NOISY = Sensor(NoisyParams, noisy_init, noisy_step, prepare, noisy_smoothness, is_transparent)
+def position_resolution(params: NoisyParams) -> Scalar | None:
+    """The step of which readings of y are multiples; None: they are not rounded."""
+    return params.position_resolution
+
+
+NOISY = Sensor(NoisyParams, noisy_init, noisy_step, prepare, noisy_smoothness, is_transparent, position_resolution)
