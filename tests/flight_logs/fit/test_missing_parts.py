@@ -299,6 +299,7 @@ def test_the_speed_of_friction_in_gusts_is_that_which_the_log_shows():
     smooth = np.sin(times)
     np.testing.assert_allclose(slopes(smooth, 3)[3:-3] / DT, np.cos(times)[3:-3], atol=2e-3)
     assert slope_half_width(0.0, DT, 0.1) == 1
+    assert slope_half_width(1.0, DT, 0.0) > 1000  # of a vehicle that rests
     half_width = slope_half_width(0.002, DT, 0.01)
     noise = 0.002 * np.random.default_rng(0).normal(size=20000)
     assert np.std(slopes(noise, half_width) / DT) < 0.0102

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit.fit import fit_log
 from dssc_jax.flight_logs.fit.refusals import Unexplained
 from dssc_jax.flight_logs.fit.search_limits import SearchLimits
@@ -43,3 +44,26 @@ def test_a_large_force_that_begins_in_flight_is_named_with_its_time():
     assert float(size) == pytest.approx(-4.0, 0.01)
     assert float(begin) == pytest.approx(2.0, abs=DT)
     assert remaining(text) < 1.2 * NOISE
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-200])
+def test_an_output_of_0_is_not_what_the_study_predicts(scale):
+    """Its rounding is not 0."""
+    u = commands_of(1)
+    with pytest.raises(Unexplained, match="the study does not describe this flight"):
+        fit_log(linear(), log_of(scale * flown(no_force, 1, u), u))
+
+
+@pytest.mark.parametrize(("scales", "name"), [((1e200, 1.0), "y"), ((1.0, 1e150), "u_total")])
+def test_a_size_beyond_all_units_is_named(scales, name):
+    u = commands_of(1)
+    with pytest.raises(ConfigError, match=f"has {name} up to .* beyond 1e\\+100: compare its column"):
+        fit_log(linear(), log_of(scales[0] * flown(no_force, 1, u), scales[1] * u))
+
+
+def test_a_force_beside_no_command_at_all_is_named():
+    """The study's vehicle rests, whatever its numbers, so that nothing tells the size of a force or of a speed."""
+    u = np.zeros(400)
+    text = refusal(u + 2.0, u)
+    assert "constant force (" in text
+    assert remaining(text) < 1.1 * NOISE

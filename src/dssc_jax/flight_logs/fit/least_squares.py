@@ -24,6 +24,7 @@ from dssc_jax.study import Law, Study
 
 NORMAL_90 = float(special.ndtri(0.95))
 LEAST_NOISE = 1e-9  # of the output's size: below, the residual is rounding
+LEAST_SIZE = 1e-100  # of an output: below, it is 0, and its rounding that of one unit
 LEAST_SAMPLES = 20  # of a channel: fewer do not identify its noise
 NOISE_DRAWS = 512  # of the channels' noises together
 LAW_ENDS = np.array([0.001, 0.999])  # levels between which a law's values lie
@@ -71,7 +72,8 @@ class Readings(NamedTuple):
             for j in range(4):
                 if i != j:
                     weights[:, i] *= (position - nodes[:, j]) / (i - j)
-        largest = max(float(np.abs(values).max(initial=0.0)), TINY)
+        largest = float(np.abs(values).max(initial=0.0))
+        size = largest if largest > LEAST_SIZE else 1.0
         sensor = log.sensor_noise[channel] ** 2
         return cls(
             channel=channel,
@@ -79,7 +81,7 @@ class Readings(NamedTuple):
             values=values,
             nodes=nodes,
             weights=weights,
-            floor=(LEAST_NOISE * largest) ** 2,
+            floor=(LEAST_NOISE * size) ** 2,
             sensor=sensor,
         )
 

@@ -1,5 +1,7 @@
 """From a log to outputs and commands at the samples of a study."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
@@ -25,6 +27,7 @@ from dssc_jax.flight_logs.reading.reader import (
 from dssc_jax.study import Study
 
 LARGE_JUMP = 0.2  # of a command's range
+MOST = 1e100  # size of a signal: squares of larger ones overflow
 
 
 def sampled_log(study: Study, log: FlightLog) -> SampledLog:
@@ -33,7 +36,8 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     A command that was not logged is that of the analysed controller for the logged outputs.
 
     Raises:
-        ConfigError: The log has too few outputs, or neither a command nor what its replay needs.
+        ConfigError: The log has too few outputs, or a value beyond all units, or neither a command nor what its replay
+            needs.
     """
     loop = study.loop
     samples = max(samples_within(log, loop.sample_time, loop.steps), 1)
@@ -51,6 +55,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         else:
             sampling.replay_command(row, signals, references[row])
     require_outputs(study, log, sampling.outputs)
+    require_sizes(study, log, all_signals)
     end = log.start + (samples - 1) * loop.sample_time
     reconstruction, *alternatives = reconstructions(list(sampling.commands))
     return SampledLog(
@@ -161,3 +166,22 @@ def require_outputs(study: Study, log: FlightLog, outputs: np.ndarray) -> None:
         rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
         place = " in every channel" if len(channels) > 1 else ""
         raise ConfigError(log.name, f"{rule}{place}{time_unit_text(log, study.loop.sample_time)}")
+
+
+def require_sizes(study: Study, log: FlightLog, signals: Sequence[Mapping[str, np.ndarray]]) -> None:
+    """Require that outputs and commands have a size that some unit could give them.
+
+    Args:
+        study: The study.
+        log: The flight.
+        signals: Logged signals of each channel by their names without it, NaN where missing, shape (samples,) each.
+
+    Raises:
+        ConfigError: One is larger.
+    """
+    for channel, values_by_name in zip(study.loop.channels, signals, strict=True):
+        for name in ("y", "u_total"):
+            largest = float(np.nanmax(np.abs(values_by_name.get(name, np.zeros(1))), initial=0.0))
+            if largest > MOST:
+                rule = f"has {signal_name(channel, name)} up to {largest:.3g}, beyond {MOST:g}"
+                raise ConfigError(log.name, f"{rule}: compare its column and scale, and leave broken values empty")

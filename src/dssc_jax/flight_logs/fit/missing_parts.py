@@ -134,12 +134,12 @@ def delayed(series: np.ndarray, samples: float) -> np.ndarray:
 
 def drag_sizes(flight: Flight) -> tuple[float, ...]:
     """A small drag beside the commands."""
-    return (PROBE * rms(flight.commands) / max(rms(quadratic_drag(flight.speed)), TINY),)
+    return (force_sizes(flight)[0] / max(rms(quadratic_drag(flight.speed)), TINY),)
 
 
 def force_sizes(flight: Flight) -> tuple[float, ...]:
-    """A small force beside the commands."""
-    return (PROBE * rms(flight.commands),)
+    """A small force beside the commands, or a small one where all are 0."""
+    return (PROBE * (rms(flight.commands) or 1.0),)
 
 
 def lag_sizes(flight: Flight) -> tuple[float, ...]:
@@ -383,8 +383,8 @@ def slope_half_width(noise: float, gap: float, error: float) -> int:
         gap: Time d from one reading to the next [s].
         error: The largest standard deviation of the slope.
     """
-    product = 3.0 * (noise / (gap * max(error, TINY))) ** 2
-    return max(1, math.ceil((min(product, 1e12) / 2.0) ** (1.0 / 3.0)))
+    ratio = min(noise / (gap * max(error, TINY)), 1e6)
+    return max(1, math.ceil((1.5 * ratio**2) ** (1.0 / 3.0)))
 
 
 def slopes(series: np.ndarray, half_width: int) -> np.ndarray:

@@ -15,11 +15,10 @@ from functools import partial
 
 import numpy as np
 
-from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
-from dssc_jax.flight_logs.fit.missing_parts import PROBE, Flight, Part, force_sizes, is_any
+from dssc_jax.flight_logs.fit.least_squares import FitProblem
+from dssc_jax.flight_logs.fit.missing_parts import Flight, Part, force_sizes, is_any
 from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, fitted_part
 from dssc_jax.flight_logs.fit.shifts import linear_cost
-from dssc_jax.flight_logs.hints.conversions import rms
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
 from dssc_jax.study import Study
 
@@ -132,7 +131,7 @@ def likeliest_begin(problem: FitProblem, x: np.ndarray, flight: Flight, begins: 
     """
     (readings,) = problem.readings
     (columns,) = problem.columns(x)
-    size = PROBE * rms(flight.commands) + TINY
+    (size,) = force_sizes(flight)
     slopes = []
     for begin in begins.tolist():
         (moved,) = problem.columns(x, pushed_from(begin, flight, size)[None, :])
