@@ -2,6 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
+PARALLEL := -n logical --maxprocesses 6 --dist worksteal
 QUICK := $(addprefix tests/,engine/test_batching.py lanes closed_loop/test_settled.py test_protocols.py cli/test_commands.py)
 
 # Each command and many tests are processes of their own: they read the modules' bytecode instead of compiling them again.
@@ -12,12 +13,12 @@ unexport PYTHONDONTWRITEBYTECODE
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
 
-test: $(VENV)/test  ## install, and run the tests, in two processes: most of the time is compilation, on one core each
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+test: $(VENV)/test  ## install, and run the tests, in a process for each core, at most six: each needs some 2 GB
+	$(BIN)/python -m pytest $(PARALLEL)
 
 quick: $(VENV)/test  ## the tests that tell whether another Python or JAX will do: make quick VENV=.venv-next PYTHON=python3.13
 	$(BIN)/python tests/newest_jax.py
-	$(BIN)/python -m pytest -n 2 --dist worksteal $(QUICK)
+	$(BIN)/python -m pytest $(PARALLEL) $(QUICK)
 
 lint: $(VENV)/test
 	$(BIN)/ruff check .
