@@ -7,6 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dssc_jax.lanes.passes.liveness import reachable
+from dssc_jax.lanes.passes.negated_states import loops_of
+from dssc_jax.lanes.passes.observation import observing_nodes, placed_early
 from dssc_jax.lanes.passes.scheduling import schedule, users_of
 from dssc_jax.lanes.traced_lanes import PACKINGS, Packing
 from dssc_jax.lanes.tracing.translate import translate
@@ -62,3 +65,48 @@ def test_chains_that_do_not_wait_for_each_other_alternate():
 
     assert turns(nodes) == 1
     assert turns(schedule(nodes, 1000)) > 70
+
+
+def oscillator(x, y):
+    """An oscillator whose peak is counted as long as no speed was above 3; the count and the peak move nothing."""
+
+    def turn(k, state):
+        place, speed, peak, fast, count = state
+        next_speed = speed - 0.1 * jnp.sin(place)
+        next_fast = fast | (next_speed > 3.0)
+        seen = jnp.where(next_fast, 0.0, jnp.abs(place))
+        return place + 0.1 * next_speed, next_speed, jnp.maximum(peak, seen), next_fast, count + jnp.where(fast, 0, 1)
+
+    return jax.lax.fori_loop(0, 90, turn, (x, y, jnp.zeros(()), jnp.asarray(False), jnp.asarray(0)))
+
+
+def test_what_only_observes_a_loop_comes_as_soon_as_its_operands_are_known():
+    scalar = jax.ShapeDtypeStruct((), np.float64)
+    program, _ = translate(oscillator, scalar, scalar)
+    (loop,), needed = loops_of(program.body), reachable(program)
+    nodes = [node for node in loop.body.nodes if id(node) in needed]
+    early = observing_nodes(loop)
+    observers = [node for node in nodes if id(node) in early]
+    assert {"max", "or", "gt"} <= {node.operation for node in observers}
+    counter, _, place, speed, *_ = loop.next_states  # the second one counts, too, but nothing reads it
+    assert not {id(counter), id(place), id(speed)} & early
+    order = placed_early(nodes, early)
+    assert sorted(map(id, order)) == sorted(map(id, nodes))
+    position = {id(node): i for i, node in enumerate(order)}
+    for i, users in enumerate(users_of(nodes)):
+        assert all(position[id(nodes[i])] < position[id(nodes[user])] for user in users)
+    others = [node for node in nodes if id(node) not in early]
+    assert [node for node in order if id(node) not in early] == others
+    for node in observers:
+        last_operand = max((position.get(id(operand), -1) for operand in node.operands), default=-1)
+        assert all(id(between) in early for between in order[last_operand + 1 : position[id(node)]])
+
+
+@pytest.mark.parametrize("lane", [chains, oscillator])
+@pytest.mark.parametrize("vectors", [1, 2, 4])
+def test_strict_results_do_not_depend_on_the_number_of_hardware_vectors(lane, vectors, monkeypatch):
+    plain = both(lane, X, Y, strict=True)[0]
+    packing = Packing(np.inf, vectors, 20)
+    monkeypatch.setattr("dssc_jax.lanes.traced_lanes.PACKINGS", dict.fromkeys(PACKINGS, (packing,)))
+    for one, other in zip(both(lane, X, Y, strict=True)[0], plain, strict=True):
+        np.testing.assert_array_equal(one, other)

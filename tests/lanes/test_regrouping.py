@@ -34,6 +34,27 @@ def test_what_is_known_before_a_loop_is_divided_and_multiplied_before_it():
     assert in_loop(fast=True) == (1, 3)
 
 
+def root_twice(x, y):
+    """A product with the root of |y| twice, as of a rotor's speed in its thrust."""
+    root = jnp.sqrt(jnp.abs(y))
+    return x * root * root, root * (root * x), x * jnp.sqrt(y) * jnp.sqrt(y)
+
+
+def test_the_square_of_the_root_of_a_size_is_the_size():
+    scalar = jax.ShapeDtypeStruct((), np.float64)
+
+    def roots(output, fast):
+        program, _ = translate(lambda x, y: root_twice(x, y)[output], scalar, scalar, fast=fast)
+        needed = reachable(program)
+        return sum(node.operation == "sqrt" for node in program.body.nodes if id(node) in needed)
+
+    assert [roots(output, fast=False) for output in range(3)] == [1, 1, 1]
+    assert [roots(output, fast=True) for output in range(3)] == [0, 0, 1]  # the root of y may be NaN
+    y = np.array([2.0, -3.0, 0.0, np.inf, -np.inf, np.nan, 1e300, 1e-300])
+    for lanes, plain in zip(*both(root_twice, np.linspace(-2.0, 5.0, y.size), y), strict=True):
+        np.testing.assert_allclose(lanes, plain, rtol=ROUNDING)
+
+
 @pytest.mark.parametrize("strict", [True, False])
 def test_a_divisor_that_is_known_before_a_loop_may_be_zero_infinite_or_nan(strict):
     divisors = np.array([0.0, -0.0, np.inf, np.nan, 1e300, -2.0, 1e-300])

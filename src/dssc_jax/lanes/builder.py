@@ -172,10 +172,20 @@ class Builder:
             dividend, divisor = operands
             return self._quotient_by_inverse(dividend, divisor)
         if operation == "mul":
-            first, second = operands
-            regrouped = self._product_outside_in(first, second)
-            return self._product_outside_in(second, first) if regrouped is None else regrouped
+            for first, second in (operands, operands[::-1]):
+                regrouped = self._product_with_square(first, second) or self._product_outside_in(first, second)
+                if regrouped is not None:
+                    return regrouped
         return None
+
+    def _product_with_square(self, product: Value, root: Value) -> Value | None:
+        """The product (x root) root as x |y|, for the root of |y|, whose square it is; None for other operands."""
+        if root.operation != "sqrt" or product.operation != "mul" or root not in product.operands:
+            return None
+        (radicand,) = root.operands
+        first, second = product.operands
+        factor = second if first is root else first
+        return self.add("mul", factor, radicand) if radicand.operation == "abs" else None
 
     def _quotient_by_inverse(self, dividend: Value, divisor: Value) -> Value | None:
         """The quotient as a product, if the divisor is known before a loop, where it is inverted; else None."""

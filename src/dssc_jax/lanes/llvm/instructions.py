@@ -72,7 +72,8 @@ class Instructions(FunctionText):
             return self.access(value)
         if operation == "select":
             condition, *cases = value.operands
-            has_mask = self.is_vector(condition)
+            # of a uniform condition LLVM makes a branch, and orders what comes before and after it separately
+            has_mask = self.is_vector(condition) or (wide and self.register_use.piece_width > 0)
             if_true, if_false = (self.operand(case, wide) for case in cases)
             selector = f"{self.kind(BOOL, has_mask)} {self.read(condition, has_mask)}"
             return self.emit(f"select {selector}, {kind} {if_true}, {kind} {if_false}")

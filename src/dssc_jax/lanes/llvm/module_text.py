@@ -4,7 +4,7 @@ Fast arithmetic allows a product and a sum to be contracted, with one rounding, 
 nothing else: a NaN is an outcome. Strict arithmetic allows neither.
 """
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from dssc_jax.lanes.llvm.function_text import FAST, MANY_REGISTERS, STRICT, Regi
 from dssc_jax.lanes.llvm.instructions import Instructions
 from dssc_jax.lanes.operations import Operation
 from dssc_jax.lanes.passes.liveness import reachable
+from dssc_jax.lanes.passes.observation import observing_nodes, placed_early
 from dssc_jax.lanes.passes.precomputation import TURNS, Precomputation, PrecomputationPlan, precomputation_plan
 from dssc_jax.lanes.passes.scheduling import schedule
 from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Node, Program, Record, Recording, Value
@@ -105,9 +106,10 @@ class Emitter(Instructions):
 
     # Blocks
 
-    def block(self, block: CodeBlock) -> None:
-        """Write the nodes of a block on which a result depends, in scheduled order."""
-        for node in schedule([node for node in block.nodes if self.is_needed(node)], self.window):
+    def block(self, block: CodeBlock, early: Set[int] = frozenset()) -> None:
+        """Write the nodes of a block on which a result depends, in scheduled order; ``early``: see placed_early."""
+        order = schedule([node for node in block.nodes if self.is_needed(node)], self.window)
+        for node in placed_early(order, early):
             if isinstance(node, Record):
                 self.record(node)
             elif isinstance(node, Value):
@@ -160,7 +162,7 @@ class Emitter(Instructions):
 
     def turn(self, loop: CodeLoop) -> str:
         """Write one turn of a loop, its body; return the register of the condition for another turn."""
-        self.block(loop.body)
+        self.block(loop.body, observing_nodes(loop) if self.register_use.piece_width else frozenset())
         assert loop.proceed is not None
         return self.read(loop.proceed, False)
 
@@ -358,16 +360,13 @@ class Emitter(Instructions):
                 self.write(self.column("outputs", position), element, record.value, True)
 
     def recorded_element(self, recording: Recording, index: str) -> str:
-        """Write where in the column of a recording the element at an index lies for the vector's first lane.
+        """Write where the element at an index of a recording lies for the vector's first lane; return its register.
 
         A vector of lanes has the elements of index 0 of all its lanes, then the elements of index 1, and so on.
 
         Args:
             recording: The recording.
             index: Register of the index, an integer of 64 bits.
-
-        Returns:
-            The register of the position.
         """
         start = self.emit(f"mul i64 %lane, {recording.length}")
         offset = self.emit(f"mul i64 {index}, {self.width}")

@@ -1,1 +1,1 @@
-"""Passes over a typed program, in order: negated states, liveness, signs, scheduling, precomputation."""
+"""Passes over a typed program, in order: negated states, liveness, signs, scheduling, observation, precomputation."""
