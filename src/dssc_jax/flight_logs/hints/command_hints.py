@@ -9,7 +9,12 @@ import numpy as np
 
 from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.hints.conversions import COMMAND_ROUNDING, FEWER, conversion_text, multiple_of, rms
-from dssc_jax.flight_logs.hints.lost_commands import lost_commands, lost_commands_hint
+from dssc_jax.flight_logs.hints.lost_commands import (
+    lost_commands,
+    lost_commands_hint,
+    replaced_commands,
+    replaced_commands_hint,
+)
 from dssc_jax.flight_logs.hints.rounded_commands import command_rounding, rounded_hint
 from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
 from dssc_jax.flight_logs.reading.interpolated_outputs import bends
@@ -135,6 +140,9 @@ def command_hint(
             "fit the part before or after"
         )
         return Hint("stuck-command", text)
+    replaced = replaced_commands(logged, replayed) if hold == 1 else None
+    if replaced is not None:
+        return replaced_commands_hint(replaced, sample_time, unit)
     lost = lost_commands(logged, replayed) if hold == 1 else []
     if lost:
         return lost_commands_hint(lost, sample_time)
