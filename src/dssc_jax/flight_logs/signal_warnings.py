@@ -39,6 +39,7 @@ WarningCode: TypeAlias = Literal[
     "missing-force",
     "missing-lag",
     "missing-limit",
+    "missing-rounding",
     "noisy-output",
     "outliers",
     "output-jump",
@@ -70,6 +71,7 @@ EXPLANATIONS: tuple[WarningCode, ...] = (
     "missing-force",
     "missing-lag",
     "missing-limit",
+    "missing-rounding",
     "changing-gain",
     "rough-squares",
 )
