@@ -18,7 +18,7 @@ PARTS = (
     "Compare the log's columns",  # remedies, at the end of a message
     "Begin at the take-off",
     "Log the time",
-    "the slope of a record whose time stamps jitter",
+    "its column may be another signal's. If the reference is a record",
     "shift the study's reference, or let its record begin",
     "Compare the log's times with those of another clock",
     "If it is the clock, scale the times",

@@ -165,5 +165,7 @@ def add_command_hints(
             command = reference.command
     if hint is None and not has_wrong_output and not has_wrong_reference(replay, signals, command):
         hint = command_hint(logged, command, replay.sample_time, channel.units.of("u"), "y_ref" in signals)
-    if hint is not None:
+    slope = hints.slopes.get(channel.signal("y_ref_dot"))
+    is_explained = slope is not None and slope.code == "wrong-scale"
+    if hint is not None and not (is_explained and hint.code == "another-command"):
         hints.factors[name] = hint
