@@ -24,7 +24,8 @@ PARTS = (
     "If it is the clock, scale the times",
     "the part after with a start",
     "give a number a wider law",
-    "it follows straight lines",  # what is known besides, within or after a message
+    "at least half as large from",  # what is known besides, within or after a message
+    "it follows straight lines",
     "the jump is taken out",
     "the flight followed a wrong velocity",
     "the log does not state the jump",

@@ -228,7 +228,7 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
         causes, is_explained = refusal_causes(problem, best, results)
     hint = "" if is_explained else conversion_hint(problem, best.x, place)
     reasons = "".join(f". {doubt.text}" for doubt in causes) or strength_hint(problem.study)
-    raise Unexplained(f"{refusal_text(problem, place, results[place])}{hint}{reasons}")
+    raise Unexplained(f"{refusal_text(problem, best.x, place, results[place])}{hint}{reasons}")
 
 
 def refusal_causes(
