@@ -68,7 +68,7 @@ from dssc_jax.flight_logs.reading.reader import (
     FlightLog,
 )
 from dssc_jax.flight_logs.replay import LogReplay, replay_log, require_same_signals
-from dssc_jax.flight_logs.signal_warnings import SignalWarning
+from dssc_jax.flight_logs.signal_warnings import SignalWarning, hedged
 from dssc_jax.study import Study
 
 
@@ -258,7 +258,7 @@ def refusal_causes(
         *doubts_of_delays,
         *parts.warnings,
     )
-    return causes, parts.residual <= results[0].limit
+    return hedged(causes), parts.residual <= results[0].limit
 
 
 def fitted_minimum(
