@@ -12,6 +12,7 @@ from dssc_jax.core.units import ChannelUnits
 from dssc_jax.flight_logs.channel_replay import ChannelReplay
 from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit, rate_hint
 from dssc_jax.flight_logs.hints.conversions import followed_conversion
+from dssc_jax.flight_logs.hints.filtered_references import study_reference_hint
 from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
 from dssc_jax.flight_logs.hints.output_steps import is_reference
@@ -163,7 +164,13 @@ def add_command_hints(
         if reference is not None:
             hints.shifts[y_ref] = reference.hint
             command = reference.command
-    if hint is None and not has_wrong_output and not has_wrong_reference(replay, signals, command):
+    has_study_reference = not has_wrong_output and has_wrong_reference(replay, signals, command)
+    is_told = any(y_ref in found for found in (hints.shifts, hints.others, hints.conversions))
+    if has_study_reference and "y_ref" in signals and not is_told:
+        reference_hint = study_reference_hint(replay, signals, command)
+        if reference_hint is not None:
+            hints.others[y_ref] = reference_hint
+    if hint is None and not has_wrong_output and not has_study_reference:
         hint = command_hint(logged, command, replay.sample_time, channel.units.of("u"), "y_ref" in signals)
     slope = hints.slopes.get(channel.signal("y_ref_dot"))
     is_explained = slope is not None and slope.code == "wrong-scale"
