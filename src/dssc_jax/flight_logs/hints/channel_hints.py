@@ -14,6 +14,7 @@ from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit,
 from dssc_jax.flight_logs.hints.conversions import followed_conversion
 from dssc_jax.flight_logs.hints.filtered_references import study_reference_hint
 from dssc_jax.flight_logs.hints.log_hints import LogHints
+from dssc_jax.flight_logs.hints.measured_rates import mended_rate
 from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
 from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
@@ -153,6 +154,12 @@ def add_command_hints(
     if unit_text:
         hints.conversions.setdefault(name, Hint("another-unit", unit_text))
         return
+    rate = None if y in hints.conversions else mended_rate(replay, signals, command)
+    if rate is not None:
+        hints.factors[channel.signal("y_dot")] = rate.hint
+        if y in hints.factors and hints.factors[y].code == "integral-factor":
+            del hints.factors[y]
+        command = rate.command
     hint = rate_hint(log.columns[name], replay.sample_time)
     has_wrong_output = y in hints.conversions
     scaled = None if has_wrong_output else scaled_output(replay, signals, command)
