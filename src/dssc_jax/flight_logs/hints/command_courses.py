@@ -9,7 +9,7 @@ from dssc_jax.flight_logs.hints.conversions import FEWER, rms
 from dssc_jax.flight_logs.signal_warnings import Hint
 
 EXPLAINED = 0.1  # share of the command's deviation that may be left
-LAGS = (1.0, 25.0)  # samples
+LAGS = (1.0, 50.0)  # samples
 LARGEST_RATE = 0.1  # difference of a clock from the other one
 LEAST_SHIFT = 2.0  # samples at the end of the log, by which another clock is told
 
@@ -28,8 +28,8 @@ def course_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, de
     if left <= tolerance:
         text = (
             f"is what the analysed controller gives, behind a first-order lag of {lag * sample_time:.3g} s: the log "
-            "has a filtered command, or what an actuator made of it. A fit takes it for what the study's actuator gets. "
-            "Log the command that the controller gives"
+            "has a filtered command, or what an actuator made of it. A fit takes it for what the study's actuator "
+            "gets. Log the command that the controller gives"
         )
         return Hint("filtered-command", text)
     rate, left = best_rate(logged, replayed)

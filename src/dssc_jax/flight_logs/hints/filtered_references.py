@@ -3,16 +3,14 @@
 from collections.abc import Mapping
 
 import numpy as np
-from scipy import optimize, signal
 
 from dssc_jax.flight_logs.channel_replay import ChannelReplay
+from dssc_jax.flight_logs.hints.command_courses import best_lag
 from dssc_jax.flight_logs.hints.conversions import FEWER, SAME_REFERENCE, rms
 from dssc_jax.flight_logs.hints.replayed_columns import DESCRIBED, command_share
 from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
 from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
-
-LONGEST_LAG = 0.1  # of the log
 
 
 def study_reference_text(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray) -> str:
@@ -66,16 +64,6 @@ def filtered_text(logged: np.ndarray, reference: np.ndarray, sample_time: float)
     hold = usual_hold(logged)
     if hold > 1 and rms(drop_repeats(logged) - reference) <= tolerance:
         return f"it is held for {hold * sample_time:.3g} s at a time"
-    values = logged - logged[np.isfinite(logged)][0]
-
-    def difference(logarithm: float) -> float:
-        """The root mean square of the difference from the study's reference behind a lag, in samples."""
-        share = -np.expm1(-np.exp(-logarithm))
-        lagged, _ = signal.lfilter([share], [1.0, share - 1.0], reference - reference[0], zi=[0.0])
-        return rms(values - lagged)
-
-    ends = (np.log(0.5), np.log(LONGEST_LAG * len(logged)))
-    found = optimize.minimize_scalar(difference, bounds=ends, method="bounded")
-    if not difference(float(found.x)) <= tolerance:
-        return ""
-    return f"it is behind a first-order lag of {np.exp(found.x) * sample_time:.3g} s"
+    start = logged[np.isfinite(logged)][0] - reference[0]
+    lag, left = best_lag(logged - start, reference)
+    return f"it is behind a first-order lag of {lag * sample_time:.3g} s" if left <= tolerance else ""

@@ -90,12 +90,12 @@ class ReplacedCommands(NamedTuple):
     Args:
         value: The value.
         begins: The first sample of each span, shape (spans,).
-        count: The number of samples.
+        samples: The number of samples.
     """
 
     value: float
     begins: np.ndarray
-    count: int
+    samples: int
 
 
 def replaced_commands(logged: np.ndarray, replayed: np.ndarray) -> ReplacedCommands | None:
@@ -144,7 +144,7 @@ def replaced_commands_hint(replaced: ReplacedCommands, sample_time: float, unit:
     times = [f"{begin * sample_time:.4g} s" for begin in replaced.begins[:NAMED]]
     further = f" and {len(replaced.begins) - NAMED} more times" if len(replaced.begins) > NAMED else ""
     text = (
-        f"is {replaced.value:.4g} {unit} at {replaced.count} samples (at {', '.join(times)}{further} of the study), "
+        f"is {replaced.value:.4g} {unit} at {replaced.samples} samples (at {', '.join(times)}{further} of the study), "
         "where the analysed controller's command is not, and agrees elsewhere: the log has that value in place of "
         "commands, or the controller was off. A fit takes it for what the vehicle got; if it is not, leave these cells "
         "empty"
