@@ -15,16 +15,20 @@ LEAST_LENGTH = 40  # characters of a message; shorter texts are parts of one
 PARTS = (
     "with that, the study describes the flight",  # behind the words for what is wrong
     "with that, the analysed controller gives",
+    "with the study's reference the analysed controller gives",
     "Compare the log's columns",  # remedies, at the end of a message
     "Begin at the take-off",
     "Log the time",
-    "the slope of a record whose time stamps jitter",
+    "its column may be another signal's. If the reference is a record",
     "shift the study's reference, or let its record begin",
     "Compare the log's times with those of another clock",
     "If it is the clock, scale the times",
     "the part after with a start",
     "give a number a wider law",
-    "it follows straight lines",  # what is known besides, within or after a message
+    "at least half as large from",  # what is known besides, within or after a message
+    "it follows straight lines",
+    "it is another topic's, such as a filtered",
+    "the controller gets; a fit of logged commands",
     "the jump is taken out",
     "the flight followed a wrong velocity",
     "the log does not state the jump",

@@ -94,3 +94,19 @@ def test_what_replay_and_fit_tell_is_told_once():
     residual = SignalWarning("y", "large-residual", "y ...")
     assert joined_warnings([of_replay], [residual, of_fit]) == (of_fit, residual)
     assert joined_warnings([of_replay], []) == (of_replay,)
+
+
+def test_parts_and_delays_of_a_log_with_another_fault_say_so():
+    part = SignalWarning("y", "missing-lag", "a lag would explain part of the residual of y")
+    effect = SignalWarning("y", "large-residual", "the residual of y is large")
+    spikes = SignalWarning("u_total", "command-spikes", "u_total has single values")
+    rounded = SignalWarning("t", "repeated-times", "times are rounded")
+    scale = SignalWarning("y_ref", "wrong-scale", "y_ref is 2 times the study's")
+    told = joined_warnings([spikes, rounded], [part, effect])
+    assert [warning.code for warning in told] == ["command-spikes", "repeated-times", "missing-lag", "large-residual"]
+    assert told[2].text == (
+        "a lag would explain part of the residual of y. The log has another fault (command-spikes of u_total, "
+        "repeated-times of t), which this may only resemble: mend that first"
+    )
+    assert told[3] == effect
+    assert joined_warnings([scale], [part])[1] == part  # a fit of logged commands uses no reference

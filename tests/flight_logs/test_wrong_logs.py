@@ -323,18 +323,18 @@ def test_what_identifies_nothing_because_it_is_wrong_is_not_described(flight, fa
 def test_a_command_that_is_missing_at_its_step_is_told(flight):
     """The duplicate of a time stamp takes one command of 400, at a change of 3.4 or within a hold of ten samples.
 
-    At the change the residual grows, too.
+    At the change the residual grows, and the fit estimates that command.
     """
     u, y = flight
     log = log_of(y, u)
     place = 10 * int(np.argmax(np.abs(np.diff(u[::10])))) + 10
-    for index, told in ((place, ["y", "u_total"]), (place + 5, [])):
+    for index, told in ((place, [("u_total", "command-dropouts")]), (place + 5, [])):
         time = TIME.copy()
         time[index] = time[index - 1]
         doubled = log._replace(columns=log.columns | {"u_total": Column(time, u)})
         fitted = fit_log(linear(), doubled)
         assert fitted.held_samples == {"u_total": 1}
-        assert [doubt.signal for doubt in fitted.doubts] == told
+        assert [(doubt.signal, doubt.code) for doubt in fitted.doubts] == told
 
 
 def test_a_rival_within_the_confidence_region_is_no_other_minimum(flight):

@@ -1,7 +1,7 @@
 """The warnings of a comparison or a fit: what a user has to look at before the answer is trusted."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 from dssc_jax.core.quantities import Quantity
@@ -25,6 +25,7 @@ WarningCode: TypeAlias = Literal[
     "estimator-reset",
     "exchanged-columns",
     "faster-controller",
+    "filtered-command",
     "held-command",
     "held-output",
     "initial-output",
@@ -39,6 +40,7 @@ WarningCode: TypeAlias = Literal[
     "missing-force",
     "missing-lag",
     "missing-limit",
+    "missing-rounding",
     "noisy-output",
     "outliers",
     "output-jump",
@@ -70,10 +72,36 @@ EXPLANATIONS: tuple[WarningCode, ...] = (
     "missing-force",
     "missing-lag",
     "missing-limit",
+    "missing-rounding",
     "changing-gain",
     "rough-squares",
 )
 """Warnings of what would explain a residual: a fault of the log that another warning names may do so, too."""
+FAULTS: tuple[WarningCode, ...] = (
+    "clock-rate",
+    "command-dropouts",
+    "command-jump",
+    "command-spikes",
+    "damaged-log",
+    "faster-controller",
+    "filtered-command",
+    "filtered-command",
+    "held-command",
+    "integral-factor",
+    "interpolated-command",
+    "outliers",
+    "output-jump",
+    "rare-command",
+    "repeated-rows",
+    "repeated-times",
+    "rounded-command",
+    "rounded-output",
+    "shifted-command",
+    "stuck-command",
+    "stuck-output",
+    "wrong-scale",
+)
+"""Faults of the outputs, commands or times of a log, which a part that a study lacks may resemble."""
 EFFECTS: tuple[WarningCode, ...] = (
     "initial-output",
     "command-offset",
@@ -134,9 +162,32 @@ def causes_first(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]
     return tuple(sorted(warnings, key=rank))
 
 
+def fault_text(warnings: Iterable[SignalWarning]) -> str:
+    """That a log has faults which a delay or a part of a fit may only resemble; empty if it has none."""
+    faults = {}
+    for warning in warnings:
+        if warning.code in FAULTS and not warning.signal.endswith(("y_ref", "y_ref_dot")):
+            place = f" of {warning.signal}" if warning.signal else ""
+            faults[f"{warning.code}{place}"] = None
+    if not faults:
+        return ""
+    return f". The log has another fault ({', '.join(faults)}), which this may only resemble: mend that first"
+
+
+def hedged(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
+    """The warnings; delays and parts of a log that has another fault say so."""
+    all_warnings = list(warnings)
+    text = fault_text(all_warnings)
+    hedged_warnings = []
+    for warning in all_warnings:
+        is_explanation = warning.code in EXPLANATIONS and warning.code != "rough-squares"
+        hedged_warnings.append(replace(warning, text=warning.text + text) if is_explanation else warning)
+    return tuple(hedged_warnings)
+
+
 def joined_warnings(of_replay: Iterable[SignalWarning], of_fit: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
     """The warnings of a replay and a fit, causes first; what both tell of a signal is told as the fit has it."""
     fitted = tuple(of_fit)
     told = {(warning.signal, warning.code) for warning in fitted}
     remaining = [warning for warning in of_replay if (warning.signal, warning.code) not in told]
-    return causes_first((*remaining, *fitted))
+    return causes_first(hedged((*remaining, *fitted)))

@@ -10,16 +10,14 @@ from dssc_jax.console.flight import untried_lines
 from dssc_jax.flight_logs.fit import part_doubts
 from dssc_jax.flight_logs.fit.actuated_commands import actuated_commands
 from dssc_jax.flight_logs.fit.fit import fit_log
+from dssc_jax.flight_logs.fit.flown_course import Flight, slope_half_width, slopes
 from dssc_jax.flight_logs.fit.missing_parts import (
     STEADY_WIND,
-    Flight,
     delayed,
     fading,
     friction,
     lacking_parts,
     quadratic_drag,
-    slope_half_width,
-    slopes,
 )
 from dssc_jax.flight_logs.fit.refusals import Unexplained
 from dssc_jax.flight_logs.fit.wind_steps import lacks_wind_step
@@ -189,6 +187,15 @@ def test_a_dead_zone_and_a_limited_rate_are_told_with_their_sizes(predictions):
     assert not any(doubt.code.startswith("delayed") for doubt in fitted.doubts)
 
 
+@pytest.mark.parametrize("step", [0.2, 0.237])
+def test_an_actuator_that_rounds_is_told_with_its_step(predictions, step):
+    u = commands_of(8)
+    rounded = flown(no_force, 8, step * np.round(u / step))
+    (doubt,) = told(fit_log(linear(), log_of(rounded, u), predictions=predictions))
+    assert doubt.code == "missing-rounding"
+    assert abs(float(doubt.text.split("multiples of ")[1].split()[0]) - step) < 0.02 * step
+
+
 def test_a_part_that_leaves_more_than_noise_proposes_no_estimate(predictions):
     """A jump of the gain is none of the parts; a fall that is linear in time resembles it."""
     u = commands_of(7)
@@ -356,7 +363,7 @@ def test_commands_behind_a_limit_and_a_dead_zone():
 
 def test_a_study_with_a_part_gets_no_second_one():
     codes = [part.code for part in lacking_parts(linear())]
-    limits = ["missing-limit", "missing-limit", "missing-dead-zone"]
+    limits = ["missing-limit", "missing-limit", "missing-dead-zone", "missing-rounding"]
     assert codes == ["missing-force", "missing-force", "missing-force", "missing-lag", *limits, "changing-gain"]
     with_lag = linear(unmodelled={"kind": "lag", "mu": 0.05})
     assert "missing-lag" not in [part.code for part in lacking_parts(with_lag)]
@@ -365,6 +372,7 @@ def test_a_study_with_a_part_gets_no_second_one():
         {"kind": "lag", "mu": 0.05},
         {"kind": "rate_limit", "rate": 20.0},
         {"kind": "dead_zone", "half_width": 0.1},
+        {"kind": "quantisation", "resolution": 0.1},
     ]
     codes = [part.code for part in lacking_parts(linear(actuator=chain))]
     assert codes == ["missing-force", "missing-force", "missing-force", "changing-gain"]

@@ -7,7 +7,7 @@ import pytest
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit.fit import fit_log
-from dssc_jax.flight_logs.fit.refusals import Unexplained
+from dssc_jax.flight_logs.fit.refusals import Unexplained, largest_text
 from dssc_jax.flight_logs.fit.search_limits import SearchLimits
 from tests.flight_logs.fit.test_fit import DT, linear, log_of
 from tests.flight_logs.fit.test_missing_parts import commands_of, flown, no_force
@@ -44,6 +44,26 @@ def test_a_large_force_that_begins_in_flight_is_named_with_its_time():
     assert float(size) == pytest.approx(-4.0, 0.01)
     assert float(begin) == pytest.approx(2.0, abs=DT)
     assert remaining(text) < 1.2 * NOISE
+
+
+def test_a_refusal_says_when_the_residual_is_largest():
+    """A y that another vehicle has for a second."""
+    u = commands_of(1)
+    y = flown(no_force, 1, u)
+    is_wrong = (DT * np.arange(len(u)) >= 3.0) & (DT * np.arange(len(u)) < 4.0 - 1e-9)
+    with pytest.raises(Unexplained) as problem:
+        fit_log(linear(), log_of(np.where(is_wrong, y + 30.0 * np.std(y), y), u))
+    words = re.search(
+        r"largest at (\S+) s of the study \(at least half as large from (\S+) s to (\S+) s\)", str(problem.value)
+    )
+    time, begin, end = map(float, words.groups())
+    assert 3.0 <= begin <= time <= end < 4.0
+    assert end - begin > 0.9
+
+
+def test_a_single_large_reading_has_a_time_alone():
+    residual = np.array([0.1, 0.2, -3.0, 0.2])
+    assert largest_text(np.arange(4.0), residual) == "largest at 2 s of the study"
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-200])

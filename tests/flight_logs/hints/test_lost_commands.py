@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dssc_jax.flight_logs.hints.command_hints import command_hint, rate_hint
-from dssc_jax.flight_logs.hints.lost_commands import lost_commands
+from dssc_jax.flight_logs.hints.lost_commands import lost_commands, replaced_commands
 from dssc_jax.flight_logs.hints.rounded_commands import command_rounding
 from dssc_jax.flight_logs.reading.reader import Column
 
@@ -46,6 +46,40 @@ def test_limits_rounding_and_slow_controllers_lose_nothing(seed):
     )
     for logged, analysed in logged_and_replayed:
         assert lost_commands(logged, analysed) == []
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, 30.0])
+@pytest.mark.parametrize("count", [8, 40])
+def test_one_value_in_place_of_commands_is_told_with_its_times(value, count):
+    """Few spikes may be told as such; in noise that is large, they are none."""
+    replayed = command() + np.random.default_rng(5).normal(size=500)
+    logged = np.round(replayed, 6)
+    logged[np.random.default_rng(6).choice(np.arange(20, 480), count, replace=False)] = value
+    hint = command_hint(logged, replayed, DT, "N")
+    assert hint.code in ("command-dropouts", *(["command-spikes"] if count == 8 else []))
+    assert count == 8 or hint.text.startswith(f"is {value:g} N at {np.count_nonzero(logged == value)} samples (at ")
+    assert replaced_commands(logged, replayed).value == value
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_limits_dead_zones_switches_and_other_controllers_replace_nothing(seed):
+    replayed = command(seed)
+    off = replayed.copy()
+    for begin in (50, 200, 350):
+        off[begin : begin + 60] = 0.0
+    logged_and_replayed = (
+        (np.clip(replayed, -1.5, 1.95), replayed),
+        (np.maximum(replayed, 0.0), replayed),
+        (np.where(np.abs(replayed) < 0.3, 0.0, replayed), replayed),
+        (off, replayed),
+        (2.0 * np.sign(replayed), replayed),
+        (np.round(replayed, 1), replayed),
+        (np.where(ROWS % 50 == 0, 0.0, 1.2 * command(seed + 20)), replayed),
+        (np.full(500, np.nan), replayed),
+        (replayed, replayed),
+    )
+    for logged, analysed in logged_and_replayed:
+        assert replaced_commands(logged, analysed) is None
 
 
 @pytest.mark.parametrize("step", [0.1, 0.2, 0.5])

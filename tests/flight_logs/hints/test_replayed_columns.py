@@ -8,6 +8,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit.fit import fit_log
+from dssc_jax.flight_logs.hints.references import study_references
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import replay_log
@@ -82,6 +83,31 @@ def test_every_two_exchanged_columns_are_named(study, first, second):
     codes, text = told(study, {**columns, first: columns[second], second: columns[first]})
     assert list(codes.values()) == ["exchanged-columns"]
     assert text.startswith((f"{first} looks exchanged with {second}", f"{second} looks exchanged with {first}"))
+
+
+def flown_with_rates(study):
+    """The columns of a draw along a reference that moves, with a controller that follows its rate."""
+    waves = {"kind": "multisine", "amplitudes": [1.0, 0.4], "frequencies": [0.3, 0.8], "phases": [0.0, 0.0]}
+    sta = {"kind": "sta", "l0": 1.5, "kappa1": 2.5, "kappa2": 2.0, "discretisation": "explicit"}
+    smooth = study.override({"reference": waves, "controller": sta})
+    draw = dj.simulate(smooth, 0)
+    columns = {name: np.asarray(draw[name].values) for name in ("y", "y_dot", "y_ref", "u_total")}
+    return smooth, columns | {"y_ref_dot": study_references(smooth, SAMPLES)[0, 1]}
+
+
+def test_exchanged_rates_are_named(study):
+    smooth, columns = flown_with_rates(study)
+    codes, text = told(smooth, {**columns, "y_dot": columns["y_ref_dot"], "y_ref_dot": columns["y_dot"]})
+    assert codes == {"y_dot": "exchanged-columns"}
+    assert text.startswith("y_dot looks exchanged with y_ref_dot: with that, the analysed controller gives")
+
+
+def test_a_multiple_of_the_reference_rate_is_told_with_its_scale(study):
+    smooth, columns = flown_with_rates(study)
+    codes, text = told(smooth, {**columns, "y_ref_dot": 100.0 * columns["y_ref_dot"]})
+    assert codes == {"y_ref_dot": "wrong-scale"}
+    assert text == "y_ref_dot is 100 times the study's: a scale of 0.01 for its column mends it, as y_ref is the same"
+    assert told(smooth, columns) == ({}, "")
 
 
 def test_a_fit_refuses_exchanged_columns(study):

@@ -21,7 +21,7 @@ from dssc_jax.flight_logs.fit.search_limits import MOST_SIMULATIONS, SearchLimit
 from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight, short_log
 from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.flight_logs.replay import LogReplay, replay_log
-from dssc_jax.flight_logs.signal_warnings import joined_warnings
+from dssc_jax.flight_logs.signal_warnings import fault_text, joined_warnings
 from dssc_jax.study import Study
 
 
@@ -132,13 +132,15 @@ def print_refusal(refusal: FitRefused, study: Study, replay: LogReplay, options:
         options: Options of the command.
     """
     replay_summary = replay.summary(study)
+    is_open = isinstance(refusal, NotIdentifiable)
+    reason = str(refusal) if is_open else f"{refusal}{fault_text(replay.warnings)}"
     if options.as_json:
-        verdict = {"identifiable": False} if isinstance(refusal, NotIdentifiable) else {"explained": False}
-        print(json.dumps({"study": study.name, **verdict, "reason": str(refusal), **replay_summary}))
+        verdict = {"identifiable": False} if is_open else {"explained": False}
+        print(json.dumps({"study": study.name, **verdict, "reason": reason, **replay_summary}))
     else:
         show_replay(replay_summary, study)
         show_warnings(replay.warnings)
-        show_line(str(refusal))
+        show_line(reason)
 
 
 def print_fit(fitted: Fitted, study: Study, replay: LogReplay, options: CompareLog) -> None:

@@ -70,6 +70,8 @@ def dropout_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
     """
+    if problem.log.freed is not None:
+        return ()
     logged = problem.log.commands
     spans_by_channel = {channel: possible_dropouts(command) for channel, command in enumerate(logged)}
     spans_by_channel = {channel: spans for channel, spans in spans_by_channel.items() if spans}

@@ -135,9 +135,11 @@ def with_commands(log: SampledLog, reconstruction: Reconstruction) -> SampledLog
 
 
 def command_moves(problem: FitProblem, minimum: Minimum, comparisons: Sequence[ComparedCommands]) -> np.ndarray:
-    """How far equally good reconstructions move the coordinates, shape (k, p)."""
+    """How far equally good reconstructions, and what estimated commands leave open, move the coordinates, (k, p)."""
     highest_cost = minimum.cost + allowed_difference(problem)
     moves = [item.move for item in comparisons if item.cost <= highest_cost]
+    if problem.log.freed is not None:
+        moves.extend(problem.log.freed.moves)
     return np.array(moves).reshape(len(moves), len(problem.names))
 
 
@@ -209,3 +211,8 @@ def held_doubts(log: SampledLog) -> tuple[SignalWarning, ...]:
         text = f"{', '.join(names)} lack messages for up to {longest:.3g} s, and no interval counts what this falsifies"
         doubts.append(SignalWarning("", "damaged-log", text))
     return tuple(doubts)
+
+
+def freed_doubts(log: SampledLog) -> tuple[SignalWarning, ...]:
+    """The doubts about commands that the fit has estimated where the log lacks them."""
+    return () if log.freed is None else log.freed.warnings

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.flight_logs.fit.command_dropouts import dropout_doubts
 from dssc_jax.flight_logs.fit.command_gaps import (
@@ -23,12 +23,15 @@ from dssc_jax.flight_logs.fit.command_gaps import (
     command_doubts,
     command_moves,
     compared_commands,
+    freed_doubts,
     held_doubts,
     with_commands,
 )
 from dssc_jax.flight_logs.fit.declared_noise import declared_covariance, larger_covariance
 from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.fit.first_integrals import free_integrals, require_first_integrals
+from dssc_jax.flight_logs.fit.fitted_numbers import insensitive_numbers, numbers_to_fit, require_stated_times
+from dssc_jax.flight_logs.fit.freed_commands import freed_commands
 from dssc_jax.flight_logs.fit.late_outputs import delay_doubts
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
@@ -36,7 +39,7 @@ from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch, find_minima
 from dssc_jax.flight_logs.fit.outliers import outlier_doubts
 from dssc_jax.flight_logs.fit.part_doubts import NO_DOUBTS, part_doubts, part_doubts_of_refusal
 from dssc_jax.flight_logs.fit.possible_values import require_plausible, require_possible
-from dssc_jax.flight_logs.fit.prediction import RANDOM, Prediction, prediction
+from dssc_jax.flight_logs.fit.prediction import Prediction, prediction
 from dssc_jax.flight_logs.fit.refusals import (
     Explained,
     NotIdentifiable,
@@ -65,11 +68,8 @@ from dssc_jax.flight_logs.reading.reader import (
     FlightLog,
 )
 from dssc_jax.flight_logs.replay import LogReplay, replay_log, require_same_signals
-from dssc_jax.flight_logs.signal_warnings import SignalWarning
+from dssc_jax.flight_logs.signal_warnings import SignalWarning, hedged
 from dssc_jax.study import Study
-
-PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
-"""Parts of a study whose numbers show in the output for given commands."""
 
 
 def fit_log(
@@ -139,6 +139,10 @@ def fit_log(
         if better is not None:
             problem = replace(problem, log=with_commands(problem.log, better))
             continue
+        freed = freed_commands(problem, search.best)
+        if freed is not None:
+            problem = freed
+            continue
         insensitive = {} if names else insensitive_numbers(problem, search.best)
         if not unidentified.update_insensitive(insensitive):
             try:
@@ -157,22 +161,6 @@ def fit_log(
 def at_medians(minimum: Minimum, is_kept: np.ndarray) -> Minimum:
     """A minimum as the start of another search, in which the numbers that keep their laws begin at their medians."""
     return minimum._replace(x=np.where(is_kept, 0.0, minimum.x))
-
-
-def require_stated_times(study: Study, fitted_names: Sequence[str]) -> None:
-    """Require that the times at which something happens to the plant are known, unless they are fitted.
-
-    Those of the reference do not matter: the plant gets the logged commands.
-
-    Raises:
-        ConfigError: One has a law, whose median is hardly the flight's time.
-    """
-    for name, number in study.numbers.items():
-        is_time = number.quantity.begins or number.quantity.ends
-        if is_time and name in study.laws and name not in fitted_names and not name.startswith("reference."):
-            raise ConfigError(
-                name, f"has the law {study.laws[name]}, and a fit does not estimate it: set it to this flight's time"
-            )
 
 
 def require_undamaged(study: Study, log: FlightLog) -> None:
@@ -225,40 +213,6 @@ def none_identified(problem: FitProblem, best: Minimum, unidentified: Unidentifi
     )
 
 
-def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
-    """The numbers to estimate; without a request those with laws that show in the output."""
-    for name in requested:
-        if name not in study.laws:
-            raise ConfigError("names", f"'{name}' has no law in this study; {nearest(name, list(study.laws))}")
-        if not study.laws[name].movable:
-            raise ConfigError("names", f"'{name}' has a law of single cases, which has no derivative")
-    if requested:
-        return list(requested)
-    names = []
-    for name, law in study.laws.items():
-        paths = [follower.split(".") for follower in study.followers(name)]
-        if law.movable and any(fields[0] in PLANT_SLOTS and fields[-1] not in RANDOM for fields in paths):
-            names.append(name)
-    if not names:
-        raise ConfigError(study.source, f"has no law of {', '.join(PLANT_SLOTS)}: give a number a law to be fitted")
-    return names
-
-
-def insensitive_numbers(problem: FitProblem, minimum: Minimum) -> dict[str, float]:
-    """Numbers on which the output hardly depends at a minimum, with their widths.
-
-    A width is the number's standard deviation from this flight, were all others known, over that of its law. It is not
-    below 1.
-    """
-    widths = {}
-    information = np.diag(minimum.equations.information) - problem.prior
-    for name, entry in zip(problem.names, information, strict=True):
-        width = 1.0 / math.sqrt(entry) if entry > 0.0 else math.inf
-        if not width < 1.0:
-            widths[name] = width
-    return widths
-
-
 def require_explained(problem: FitProblem, best: Minimum, results: list[Explained]) -> None:
     """Require that the residual is noise.
 
@@ -274,7 +228,7 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
         causes, is_explained = refusal_causes(problem, best, results)
     hint = "" if is_explained else conversion_hint(problem, best.x, place)
     reasons = "".join(f". {doubt.text}" for doubt in causes) or strength_hint(problem.study)
-    raise Unexplained(f"{refusal_text(problem, place, results[place])}{hint}{reasons}")
+    raise Unexplained(f"{refusal_text(problem, best.x, place, results[place])}{hint}{reasons}")
 
 
 def refusal_causes(
@@ -304,7 +258,7 @@ def refusal_causes(
         *doubts_of_delays,
         *parts.warnings,
     )
-    return causes, parts.residual <= results[0].limit
+    return hedged(causes), parts.residual <= results[0].limit
 
 
 def fitted_minimum(
@@ -393,6 +347,7 @@ def fitted_minimum(
             *doubts_of_delays,
             *parts.warnings,
             *held_doubts(problem.log),
+            *freed_doubts(problem.log),
             *doubts_of_commands,
             *wind_doubts(study),
             *roughness_doubts(rough),

@@ -14,14 +14,14 @@ import numpy as np
 
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.flight_logs.fit.actuated_commands import actuated_commands
-from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
-from dssc_jax.flight_logs.fit.minima import Minimum
+from dssc_jax.flight_logs.fit.flown_course import Flight
+from dssc_jax.flight_logs.fit.least_squares import TINY
 from dssc_jax.flight_logs.fit.prediction import declares_noise
-from dssc_jax.flight_logs.fit.refusals import noise_between_neighbours
 from dssc_jax.flight_logs.hints.conversions import rms
 from dssc_jax.flight_logs.signal_warnings import WarningCode
 from dssc_jax.models.actuators.dead_zone import DEAD_ZONE
 from dssc_jax.models.actuators.lag import Order, lag
+from dssc_jax.models.actuators.quantisation import QUANTISATION
 from dssc_jax.models.actuators.rate_limit import RATE_LIMIT
 from dssc_jax.models.actuators.saturation import SATURATION
 from dssc_jax.study import Study
@@ -29,27 +29,15 @@ from dssc_jax.study.actuators import acting_elements
 
 ABSENT = {"kind": "none"}  # table of a disturbance that a study does not have
 REST = 1e-2  # share of the largest speed below which friction passes through 0
-SPEED_ERROR = 0.05  # of the speed's root mean square: the noise of a slope of the residual that counts as speed
 PROBE = 1e-2  # size of a force at first, as a share of the command
 LAGS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # samples: the first time constants
 LEVELS = (0.95, 0.85, 0.75, 0.65, 0.55, 0.45, 0.35)  # of the largest command: the first limits
 WIDTHS = (0.02, 0.05, 0.1, 0.2)  # of the largest command: the first dead zones
 RATES = (0.8, 0.4, 0.2, 0.1, 0.05)  # of the largest change in a sample: the first limits of the rate
+STEPS = tuple(0.03 * 1.04**i for i in range(100))  # of the command's root mean square: the first steps of a rounding
+SHORT = tuple(i / 10.0 for i in range(10, 100))  # numbers of two digits, as steps often are
+MOST_STEPS = 260  # of both kinds
 MOST_CHANGE = 0.9  # largest share by which a gain falls or rises
-
-
-class Flight(NamedTuple):
-    """The course of a flight at the samples.
-
-    Args:
-        commands: Commands [u], shape (n,).
-        speed: Speeds of the output, shape (n,).
-        sample_time: Time between two samples [s].
-    """
-
-    commands: np.ndarray
-    speed: np.ndarray
-    sample_time: float
 
 
 class Part(NamedTuple):
@@ -164,6 +152,17 @@ def rate_sizes(flight: Flight) -> tuple[float, ...]:
     return tuple(largest_rate(flight) * share for share in RATES)
 
 
+def step_sizes(flight: Flight) -> tuple[float, ...]:
+    """Steps of a rounded command: numbers of two digits, and others so near to each other that a small effect shows."""
+    size = rms(flight.commands)
+    if size == 0.0:
+        return (1.0,)
+    decades = range(math.floor(math.log10(STEPS[0] * size)), math.ceil(math.log10(STEPS[-1] * size)))
+    short = [digits * 10.0**decade for decade in decades for digits in SHORT]
+    within = [step for step in short if STEPS[0] * size <= step <= STEPS[-1] * size]
+    return (*within, *(size * step for step in STEPS))
+
+
 def largest_rate(flight: Flight) -> float:
     """The largest change of the command from one sample to the next, over their time."""
     return float(np.abs(np.diff(flight.commands)).max()) / flight.sample_time
@@ -192,6 +191,11 @@ def is_reached(flight: Flight, size: float) -> bool:
 def is_narrow(flight: Flight, size: float) -> bool:
     """Whether a dead zone leaves the larger commands."""
     return 0.0 < size < 0.5 * float(np.abs(flight.commands).max())
+
+
+def is_rounding(flight: Flight, size: float) -> bool:
+    """Whether a step of the commands leaves several values, and is none that they have anyhow."""
+    return 0.0 < size < float(np.abs(flight.commands).max()) / 2.0
 
 
 def is_exceeded(flight: Flight, size: float) -> bool:
@@ -292,6 +296,14 @@ PARTS = (
         dead_zone_sizes,
         is_narrow,
     ),
+    actuator_part(
+        "missing-rounding",
+        "an actuator that rounds the command to multiples of {size:.3g} {command}",
+        "rounding",
+        QUANTISATION,
+        step_sizes,
+        is_rounding,
+    )._replace(choices=MOST_STEPS),
     Part(
         code="changing-gain",
         words="a gain of the command that {verb} by {percent:.3g} % from the first sample to the last, as with a "
@@ -350,51 +362,3 @@ def lacking_parts(study: Study) -> list[Part]:
         if not has_actuator and not (part is STEADY_WIND and has_force):
             parts.append(part)
     return parts
-
-
-def flown(problem: FitProblem, minimum: Minimum) -> Flight:
-    """The flight at a minimum of a problem of one channel.
-
-    The speed is that of the predicted output, and of the residual where this is more than noise: gusts that the study
-    declares move the vehicle, too.
-    """
-    sample_time = problem.study.loop.sample_time
-    (readings,) = problem.readings
-    predicted, _ = problem.predict(problem.values(minimum.x), problem.log.commands)
-    output = predicted[readings.channel]
-    speed = np.gradient(output, sample_time)
-    residual = readings.values - readings.interpolate(output)
-    noise = noise_between_neighbours(readings.times, residual)
-    times = sample_time * np.arange(len(output))
-    spacing = max(len(output) / len(readings.times), 1.0)  # samples from one reading to the next
-    half_width = slope_half_width(noise, sample_time * spacing, SPEED_ERROR * rms(speed))
-    sampled = np.interp(times, readings.times, residual)
-    speed = speed + slopes(sampled, round(half_width * spacing)) / sample_time
-    return Flight(problem.log.commands[readings.channel], speed, sample_time)
-
-
-def slope_half_width(noise: float, gap: float, error: float) -> int:
-    """Readings either side of which a line through all has a slope of a standard deviation of at most ``error``.
-
-    A line through 2 h + 1 readings at equal gaps d has a slope of the variance 3 s^2/(h (h + 1) (2 h + 1) d^2).
-
-    Args:
-        noise: Standard deviation s of white noise of the readings.
-        gap: Time d from one reading to the next [s].
-        error: The largest standard deviation of the slope.
-    """
-    ratio = min(noise / (gap * max(error, TINY)), 1e6)
-    return max(1, math.ceil((1.5 * ratio**2) ** (1.0 / 3.0)))
-
-
-def slopes(series: np.ndarray, half_width: int) -> np.ndarray:
-    """Slopes of lines through each sample and some either side, per sample; shape (n,).
-
-    Args:
-        series: The samples, shape (n,).
-        half_width: Number of samples either side; fewer in a short series. The ends are repeated.
-    """
-    half_width = min(half_width, max(1, len(series) // 2))
-    positions = np.arange(-half_width, half_width + 1)
-    extended = np.pad(series, half_width, mode="edge")
-    return np.correlate(extended, positions.astype(float), mode="valid") / float(np.sum(positions**2))

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.flight_logs.fit.flown_course import flown
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
-from dssc_jax.flight_logs.fit.missing_parts import LATE_COMMAND, LATE_OUTPUT, flown, lacking_parts, part_text
+from dssc_jax.flight_logs.fit.missing_parts import LATE_COMMAND, LATE_OUTPUT, lacking_parts, part_text
 from dssc_jax.flight_logs.fit.part_fits import PartFit, fit_without_part, fitted_part
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refits import Refit
@@ -79,7 +80,8 @@ def part_causes(
     flight = flown(problem, minimum)
     parts = lacking_parts(problem.study)
     has_step = lacks_wind_step(problem.study)
-    without = fit_without_part(problem, minimum, len(parts) + has_step, starts)
+    candidates = sum(part.choices == 1 for part in parts) + has_step  # a part of many choices pays for them
+    without = fit_without_part(problem, minimum, candidates, starts)
     fits = [fitted_part(problem, without, flight, part) for part in parts]
     if has_step:
         fits.append(fitted_wind_step(problem, without, flight))

@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from dssc_jax.flight_logs.fit.flown_course import Flight
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
-from dssc_jax.flight_logs.fit.missing_parts import LATE_OUTPUT, Flight, Part, delayed
+from dssc_jax.flight_logs.fit.missing_parts import LATE_OUTPUT, Part, delayed
 from dssc_jax.flight_logs.fit.shifts import likelihood_of_cost, linear_cost
 from dssc_jax.flight_logs.hints.conversions import rms
 from dssc_jax.statistics.correlated_noise import Noise, weighted_products
@@ -49,7 +50,7 @@ class FitWithoutPart(NamedTuple):
         minimum: The minimum without a part.
         likelihood: Logarithm of the likelihood there, under its noise.
         simulated: What simulated disturbances and winds add to the outputs; None if the study has none.
-        candidates: Number of parts that are tried.
+        candidates: Number of parts that are tried, but for those of many choices.
         starts: Coordinates of the numbers from which fits with a part begin, shape (p,) each.
     """
 
@@ -68,7 +69,7 @@ def fit_without_part(
     Args:
         problem: The problem of one channel, with the noise of its minimum.
         minimum: The minimum.
-        candidates: Number of parts that are tried.
+        candidates: Number of parts that are tried, but for those of many choices.
         starts: Coordinates of the numbers from which fits with a part begin, shape (p,) each.
     """
     (readings,) = problem.readings

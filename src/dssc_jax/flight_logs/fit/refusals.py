@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, Readings
 from dssc_jax.flight_logs.fit.minima import MinimumSearch
 from dssc_jax.flight_logs.fit.prediction import NoiseProgram, declares_noise
@@ -177,17 +178,33 @@ def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> 
         if not result.is_doubtful:
             continue
         name, unit = signal_and_unit(problem, place)
-        largest_at = problem.readings[place].times[int(np.argmax(np.abs(columns[place][:, 0])))]
+        largest = largest_text(problem.readings[place].times, columns[place][:, 0])
         text = (
             f"the residual of {name} is {result.residual:.3g} {unit} rms, "
             f"{result.residual / max(result.noise, TINY):.3g} times the {result.noise:.3g} {unit} that noise explains, "
-            f"and largest at {largest_at:.4g} s of the study: the study lacks something of this flight, such as a "
+            f"and {largest}: the study lacks something of this flight, such as a "
             "limit or friction, or the log is not what the study takes it for. Estimates may be wrong by more than "
             f"their intervals. {REMEDY}"
             f"{conversion_hint(problem, x, place)}"
         )
         reasons.append(SignalWarning(name, "large-residual", text))
     return tuple(reasons)
+
+
+def largest_text(times: np.ndarray, residual: np.ndarray) -> str:
+    """When a residual is the largest, and the span around it in which it is at least half as large, in words.
+
+    Args:
+        times: Times of the study [s], shape (n,).
+        residual: The residual, shape (n,).
+    """
+    size = np.abs(residual)
+    place = int(np.argmax(size))
+    text = f"largest at {times[place]:.4g} s of the study"
+    for begin, end in zip(*flag_runs(size >= 0.5 * size[place]), strict=True):
+        if begin <= place < end and end - begin > 1:
+            text += f" (at least half as large from {times[begin]:.4g} s to {times[end - 1]:.4g} s)"
+    return text
 
 
 def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
@@ -222,11 +239,12 @@ def unexplained_place(results: Sequence[Explained]) -> int | None:
     return None
 
 
-def refusal_text(problem: FitProblem, place: int, result: Explained) -> str:
+def refusal_text(problem: FitProblem, x: np.ndarray, place: int, result: Explained) -> str:
     """Why a fit is refused whose residual is more than noise, without the causes.
 
     Args:
         problem: The least-squares problem of the log.
+        x: Coordinates of its minimum.
         place: Position of the channel's readings.
         result: How well the channel is described.
     """
@@ -234,10 +252,11 @@ def refusal_text(problem: FitProblem, place: int, result: Explained) -> str:
     channel = problem.study.loop.channels[readings.channel]
     unit = problem.study.units[readings.channel].output
     name = f"y of {channel}" if channel else "y"
+    largest = largest_text(readings.times, problem.columns(x)[place][:, 0])
     return (
         f"the study does not describe this flight: the residual of {name} is {result.residual:.3g} {unit} rms, "
-        f"noise explains {result.noise:.3g} {unit} of it, and {100 * result.unexplained:.3g} % of the output's "
-        f"variance ({result.output:.3g} {unit})^2 is left unexplained, with {100 * EXPLAINED_CONFIDENCE:g} % "
+        f"{largest}, noise explains {result.noise:.3g} {unit} of it, and {100 * result.unexplained:.3g} % of the "
+        f"output's variance ({result.output:.3g} {unit})^2 is left unexplained, with {100 * EXPLAINED_CONFIDENCE:g} % "
         f"confidence at least {100 * result.least_unexplained:.3g} %; at most {100 * MOST_UNEXPLAINED:g} % is "
         f"accepted. {REMEDY}; give the study what acts on the flight (wind, disturbance, sensor noise), or wider laws"
     )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.flight_logs.reading.gaps import Gap
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 
 class Reconstruction(NamedTuple):
@@ -14,6 +15,18 @@ class Reconstruction(NamedTuple):
 
     text: str
     commands: np.ndarray
+
+
+class FreedCommands(NamedTuple):
+    """Commands that a fit has estimated where the log lacks them.
+
+    Args:
+        warnings: What is said of them.
+        moves: How far their standard deviations move the coordinates of the numbers, shape (k, p).
+    """
+
+    warnings: tuple[SignalWarning, ...]
+    moves: np.ndarray
 
 
 class SampledLog(NamedTuple):
@@ -34,3 +47,4 @@ class SampledLog(NamedTuple):
     alternatives: tuple[Reconstruction, ...] = ()  # commands that may have flown instead
     slow: Mapping[str, float] = MappingProxyType({})  # outputs that are held, with the time between readings
     interpolated: Mapping[str, float] = MappingProxyType({})  # outputs that are straight lines between readings
+    freed: FreedCommands | None = None  # commands that a fit has estimated where the log lacks them

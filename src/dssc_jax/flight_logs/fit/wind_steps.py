@@ -15,8 +15,9 @@ from functools import partial
 
 import numpy as np
 
+from dssc_jax.flight_logs.fit.flown_course import Flight
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
-from dssc_jax.flight_logs.fit.missing_parts import Flight, Part, force_sizes, is_any
+from dssc_jax.flight_logs.fit.missing_parts import Part, force_sizes, is_any
 from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, fitted_part
 from dssc_jax.flight_logs.fit.shifts import linear_cost
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products

@@ -12,7 +12,9 @@ from dssc_jax.core.units import ChannelUnits
 from dssc_jax.flight_logs.channel_replay import ChannelReplay
 from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit, rate_hint
 from dssc_jax.flight_logs.hints.conversions import followed_conversion
+from dssc_jax.flight_logs.hints.filtered_references import study_reference_hint
 from dssc_jax.flight_logs.hints.log_hints import LogHints
+from dssc_jax.flight_logs.hints.measured_rates import mended_rate
 from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
 from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
@@ -152,6 +154,12 @@ def add_command_hints(
     if unit_text:
         hints.conversions.setdefault(name, Hint("another-unit", unit_text))
         return
+    rate = None if y in hints.conversions else mended_rate(replay, signals, command)
+    if rate is not None:
+        hints.factors[channel.signal("y_dot")] = rate.hint
+        if y in hints.factors and hints.factors[y].code == "integral-factor":
+            del hints.factors[y]
+        command = rate.command
     hint = rate_hint(log.columns[name], replay.sample_time)
     has_wrong_output = y in hints.conversions
     scaled = None if has_wrong_output else scaled_output(replay, signals, command)
@@ -163,7 +171,15 @@ def add_command_hints(
         if reference is not None:
             hints.shifts[y_ref] = reference.hint
             command = reference.command
-    if hint is None and not has_wrong_output and not has_wrong_reference(replay, signals, command):
+    has_study_reference = not has_wrong_output and has_wrong_reference(replay, signals, command)
+    is_told = any(y_ref in found for found in (hints.shifts, hints.others, hints.conversions))
+    if has_study_reference and "y_ref" in signals and not is_told:
+        reference_hint = study_reference_hint(replay, signals, command)
+        if reference_hint is not None:
+            hints.others[y_ref] = reference_hint
+    if hint is None and not has_wrong_output and not has_study_reference:
         hint = command_hint(logged, command, replay.sample_time, channel.units.of("u"), "y_ref" in signals)
-    if hint is not None:
+    slope = hints.slopes.get(channel.signal("y_ref_dot"))
+    is_explained = slope is not None and slope.code == "wrong-scale"
+    if hint is not None and not (is_explained and hint.code == "another-command"):
         hints.factors[name] = hint

@@ -8,8 +8,14 @@ controller.
 import numpy as np
 
 from dssc_jax.core.flag_runs import flag_runs
+from dssc_jax.flight_logs.hints.command_courses import course_hint
 from dssc_jax.flight_logs.hints.conversions import COMMAND_ROUNDING, FEWER, conversion_text, multiple_of, rms
-from dssc_jax.flight_logs.hints.lost_commands import lost_commands, lost_commands_hint
+from dssc_jax.flight_logs.hints.lost_commands import (
+    lost_commands,
+    lost_commands_hint,
+    replaced_commands,
+    replaced_commands_hint,
+)
 from dssc_jax.flight_logs.hints.rounded_commands import command_rounding, rounded_hint
 from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
 from dssc_jax.flight_logs.reading.interpolated_outputs import bends
@@ -135,6 +141,9 @@ def command_hint(
             "fit the part before or after"
         )
         return Hint("stuck-command", text)
+    replaced = replaced_commands(logged, replayed) if hold == 1 else None
+    if replaced is not None:
+        return replaced_commands_hint(replaced, sample_time, unit)
     lost = lost_commands(logged, replayed) if hold == 1 else []
     if lost:
         return lost_commands_hint(lost, sample_time)
@@ -166,6 +175,9 @@ def command_hint(
         return Hint("command-offset", text)
     latter_half = slice(len(logged) // 2, None)  # what the first state does has decayed there
     if min(difference, rms((logged - replayed)[latter_half])) > ANOTHER * deviation:
+        course = course_hint(logged, replayed, sample_time, deviation)
+        if course is not None:
+            return course
         reference = "the reference" if has_reference else "the reference (the log has no y_ref: the study's was used)"
         text = (
             f"is not what the analysed controller gives for the logged measurements: they differ by {difference:.4g} "

@@ -1,4 +1,7 @@
-"""Commands that a log lacks for a few samples, and repeats the last one, where the analysed controller's changes."""
+"""Commands that a log lacks for a few samples, where the analysed controller's go on.
+
+The log repeats the last one there, or has one value in place of all of them, such as 0.
+"""
 
 from typing import NamedTuple
 
@@ -13,6 +16,8 @@ LONGEST = 25  # samples that repeat a command in one span: more are a controller
 MOST_REPEATED = 0.3  # share of the samples in such spans: with more, the controller itself is slow
 BESIDE = 10.0  # factor on the difference elsewhere: a larger one beside repeated values is that of a lost command
 NAMED = 3  # spans that a message names
+LEAST_REPLACED = 3  # spans of one value in place of others: fewer are a command that rests
+ONE_VALUE = 0.9  # least share of the differing samples that have that value
 
 
 class LostCommands(NamedTuple):
@@ -75,5 +80,73 @@ def lost_commands_hint(spans: list[LostCommands], sample_time: float) -> Hint:
         f"repeats its last value {', '.join(times)}{further} of the study, where the analysed controller's command "
         "goes on: the log lacks commands there, and a fit takes the repeated ones for what the vehicle got. Log every "
         "command, or fit a part without such a span"
+    )
+    return Hint("command-dropouts", text)
+
+
+class ReplacedCommands(NamedTuple):
+    """Samples with one value in place of the commands.
+
+    Args:
+        value: The value.
+        begins: The first sample of each span, shape (spans,).
+        samples: The number of samples.
+    """
+
+    value: float
+    begins: np.ndarray
+    samples: int
+
+
+def replaced_commands(logged: np.ndarray, replayed: np.ndarray) -> ReplacedCommands | None:
+    """Find one value in place of the commands at a few samples; None where a limit or a dead zone may explain it.
+
+    Both commands have to agree elsewhere. A limit has all commands beyond it at one value, and a dead zone all small
+    ones; a log that lacks some has most of those that are as near to the value.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        replayed: The command of the analysed controller, shape (samples,).
+    """
+    difference = np.abs(logged - replayed)
+    is_compared = np.isfinite(difference)
+    if not is_compared.any():
+        return None
+    usual_difference = float(np.median(difference[is_compared]))
+    is_different = difference > max(BESIDE * usual_difference, COMMAND_ROUNDING * rms(logged))
+    if not is_different.any():
+        return None
+    values, counts = np.unique(logged[is_different], return_counts=True)
+    value = float(values[np.argmax(counts)])
+    is_replaced = is_different & (logged == value)
+    begins, ends = flag_runs(is_replaced)
+    count = int(np.count_nonzero(is_replaced))
+    if len(begins) < LEAST_REPLACED or np.max(ends - begins) > LONGEST:
+        return None
+    if count < ONE_VALUE * np.count_nonzero(is_different):
+        return None
+    is_near = np.abs(replayed - value) <= difference[is_replaced].max()
+    for is_side in (replayed > value, replayed < value):
+        if np.count_nonzero(is_replaced & is_side) > MOST_REPEATED * np.count_nonzero(is_near & is_side):
+            return None
+    agrees = BESIDE * rms(difference[is_compared & ~is_replaced]) < rms(difference[is_replaced])
+    return ReplacedCommands(value, begins, count) if agrees else None
+
+
+def replaced_commands_hint(replaced: ReplacedCommands, sample_time: float, unit: str) -> Hint:
+    """That a log has one value in place of commands, with the first times, and the remedy.
+
+    Args:
+        replaced: The samples at which it does.
+        sample_time: Time between two samples [s].
+        unit: Unit of the command.
+    """
+    times = [f"{begin * sample_time:.4g} s" for begin in replaced.begins[:NAMED]]
+    further = f" and {len(replaced.begins) - NAMED} more times" if len(replaced.begins) > NAMED else ""
+    text = (
+        f"is {replaced.value:.4g} {unit} at {replaced.samples} samples (at {', '.join(times)}{further} of the study), "
+        "where the analysed controller's command is not, and agrees elsewhere: the log has that value in place of "
+        "commands, or the controller was off. A fit takes it for what the vehicle got; if it is not, leave these cells "
+        "empty"
     )
     return Hint("command-dropouts", text)

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize
 
 from dssc_jax.flight_logs.channel_replay import ChannelReplay, is_close
+from dssc_jax.flight_logs.hints.command_courses import bounded_minimum
 from dssc_jax.flight_logs.hints.conversions import COMMAND_ROUNDING, rms
 from dssc_jax.flight_logs.reading.reader import forward_filled, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
@@ -25,6 +25,7 @@ EXPLAINED = 0.3  # largest share of the averaged difference that the factor leav
 CLEARLY = 0.5  # share of what another cause leaves: less, and the factor is the better explanation
 BATCHES = 8  # parts of the difference, whose sums tell the factor's deviation
 FITTED = 2  # numbers of the regression: the factor and a constant
+COARSE = 9  # factors that are tried first
 STEP = 1e-4  # relative change of a number for a derivative by it
 
 
@@ -152,11 +153,11 @@ def fitted_scale(averaged: AveragedDifference) -> Scale | None:
         return rms(averaged.at(float(np.exp(logarithm))))
 
     widest = float(np.log(LARGEST_FACTOR))
-    found = optimize.minimize_scalar(cost, bounds=(-widest, widest), method="bounded", options={"xatol": STEP})
-    factor = float(np.exp(found.x))
+    logarithm, _ = bounded_minimum(cost, np.linspace(-widest, widest, COARSE))
+    factor = float(np.exp(logarithm))
     after = averaged.at(factor)
     share = rms(after) / rms(before)
-    if not share < EXPLAINED or abs(found.x) > 0.95 * widest or abs(factor - 1.0) < LEAST_DIFFERENCE:
+    if not share < EXPLAINED or abs(logarithm) > 0.95 * widest or abs(factor - 1.0) < LEAST_DIFFERENCE:
         return None
     slope = (averaged.at(factor * (1.0 + STEP)) - after) / (STEP * factor)
     size = float(slope @ slope)

@@ -27,7 +27,8 @@ USUAL = 0.9
 """Share of the values of a rate that tell whether it is a slope; the largest differences may be damage of the log."""
 OTHER = 0.1  # share of a reference's range: a larger difference is told, though nothing explains it
 RATE_REMEDY = (
-    "the slope of a record whose time stamps jitter is rough. Give it the log's rate, by rate_column and rate_file"
+    "its column may be another signal's. If the reference is a record whose time stamps jitter, its slope is rough: "
+    "give it the log's rate, by rate_column and rate_file"
 )
 
 
@@ -84,7 +85,7 @@ def compared_references(
     """
     loop = study.loop
     comparison = ComparedReferences({}, {})
-    rates = rate_distances(study, log)
+    rates = logged_rates(study, log)
     unexplained: list[int] = []
     logged = {index: part["y_ref"] for index, part in enumerate(signals) if "y_ref" in part}
     for index, values in logged.items():
@@ -102,13 +103,13 @@ def compared_references(
         elif not is_same_reference(values, reference):
             unexplained.append(index)
         if channel in rates:
-            distance, rate = rates[channel]
-            comparison.rates[channel] = float(distance.max(initial=0.0))
+            rate, slope = rates[channel]
+            comparison.rates[channel] = largest_distance(rate, slope)
             is_moving = np.ptp(reference) > 0.0
             is_same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
-            slope_text = wrong_slope_text(distance, rate, study.units[index].of("y/s")) if is_moving and is_same else ""
-            if slope_text:
-                hints.slopes[signal_name(channel, "y_ref_dot")] = Hint("reference-slope", slope_text)
+            hint = slope_hint(rate, slope, study.units[index].of("y/s")) if is_moving and is_same else None
+            if hint is not None:
+                hints.slopes[signal_name(channel, "y_ref_dot")] = hint
     stretch = log_stretch(study, log, references.shape[2]) if unexplained else None
     for index in unexplained:
         name = signal_name(loop.channels[index], "y_ref")
@@ -131,23 +132,32 @@ def compared_references(
     return comparison
 
 
-def wrong_slope_text(distance: np.ndarray, rate: np.ndarray, unit: str) -> str:
-    """That a logged derivative is not the slope of the study's reference; empty where it is, but for rare samples.
+def slope_hint(rate: np.ndarray, slope: np.ndarray, unit: str) -> Hint | None:
+    """That a logged derivative is not the slope of the study's reference; None where it is, but for rare samples.
 
     Args:
-        distance: Distance of the derivative from the slope at each sample.
-        rate: The slope.
+        rate: The derivative at each sample.
+        slope: The slope at the same times.
         unit: Their unit.
     """
+    factor = multiple_of(rate, slope)
+    if factor != 1.0:
+        text = (
+            f"is {factor:.4g} times the study's: a scale of {1.0 / factor:.4g} for its column mends it, as y_ref is "
+            "the same"
+        )
+        return Hint("wrong-scale", text)
+    distance = np.abs(rate - slope)
     is_usual = distance <= np.quantile(distance, USUAL)
     rms_distance = rms(distance[is_usual])
     rms_rate = rms(rate[is_usual])
     if not rms_distance > SAME_REFERENCE * rms_rate > 0.0:
-        return ""
-    return (
+        return None
+    text = (
         f"differs from the slope of the study's reference by {rms_distance:.3g} {unit} rms, "
         f"{100 * rms_distance / rms_rate:.2g} % of it, though y_ref is the same: {RATE_REMEDY}"
     )
+    return Hint("reference-slope", text)
 
 
 def shifted_text(log: FlightLog, shift: float) -> str:
@@ -215,8 +225,8 @@ def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:
     return float(np.nanmax(np.abs(logged - reference), initial=0.0))
 
 
-def rate_distances(study: Study, log: FlightLog) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Distances of the logged rate of each channel's reference from the study's, at the times of the log, and the rate.
+def logged_rates(study: Study, log: FlightLog) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """The logged rate of each channel's reference, and that of the study's, at the times of the log.
 
     Channels whose rate is not logged within the study's duration are left out.
     """
@@ -233,10 +243,10 @@ def rate_distances(study: Study, log: FlightLog) -> dict[str, tuple[np.ndarray, 
         return {}
     times, places = np.unique(np.concatenate([time for time, _ in columns.values()]), return_inverse=True)
     slopes = references_at(study, times)[:, 1]
-    distances = {}
+    rates = {}
     begin = 0
     for index, (time, value) in columns.items():
         rows = places[begin : begin + len(time)]
         begin += len(time)
-        distances[loop.channels[index]] = (np.abs(value - slopes[index, rows]), value)
-    return distances
+        rates[loop.channels[index]] = (value, slopes[index, rows])
+    return rates

@@ -27,6 +27,7 @@ ERROR = "seems to hold the error"
 SIGNS = ("u_total", "y")
 CLEARLY = 0.1  # share of what a sign leaves: less, and other columns are the better explanation
 EXCHANGED = ("y", "y_dot", "y_ref", "u_total")
+EXCHANGED_RATES = (("y_dot", "y_ref_dot"), ("y_ref", "y_ref_dot"))
 LEAST_VALUES = 20
 
 
@@ -191,7 +192,8 @@ def errors_as_outputs(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -
 def exchanged_columns(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> Iterator[OtherColumns]:
     """The hypotheses that two signals of a channel have each other's column."""
     channel = replay.study.loop.channels[replay.index]
-    present = [name for name in EXCHANGED if name in logged]
-    for first, second in itertools.combinations(present, 2):
+    for first, second in (*itertools.combinations(EXCHANGED, 2), *EXCHANGED_RATES):
+        if first not in logged or second not in logged:
+            continue
         signals = {**logged, first: logged[second], second: logged[first]}
         yield OtherColumns(first, f"looks exchanged with {signal_name(channel, second)}", signals)

@@ -1,0 +1,75 @@
+"""The course of a flight at a minimum of its fit: commands, and speeds of the output."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.fit.minima import Minimum
+from dssc_jax.flight_logs.fit.refusals import noise_between_neighbours
+from dssc_jax.flight_logs.hints.conversions import rms
+
+SPEED_ERROR = 0.05  # of the speed's root mean square: the noise of a slope of the residual that counts as speed
+
+
+class Flight(NamedTuple):
+    """The course of a flight at the samples.
+
+    Args:
+        commands: Commands [u], shape (n,).
+        speed: Speeds of the output, shape (n,).
+        sample_time: Time between two samples [s].
+    """
+
+    commands: np.ndarray
+    speed: np.ndarray
+    sample_time: float
+
+
+def flown(problem: FitProblem, minimum: Minimum) -> Flight:
+    """The flight at a minimum of a problem of one channel.
+
+    The speed is that of the predicted output, and of the residual where this is more than noise: gusts that the study
+    declares move the vehicle, too.
+    """
+    sample_time = problem.study.loop.sample_time
+    (readings,) = problem.readings
+    predicted, _ = problem.predict(problem.values(minimum.x), problem.log.commands)
+    output = predicted[readings.channel]
+    speed = np.gradient(output, sample_time)
+    residual = readings.values - readings.interpolate(output)
+    noise = noise_between_neighbours(readings.times, residual)
+    times = sample_time * np.arange(len(output))
+    spacing = max(len(output) / len(readings.times), 1.0)  # samples from one reading to the next
+    half_width = slope_half_width(noise, sample_time * spacing, SPEED_ERROR * rms(speed))
+    sampled = np.interp(times, readings.times, residual)
+    speed = speed + slopes(sampled, round(half_width * spacing)) / sample_time
+    return Flight(problem.log.commands[readings.channel], speed, sample_time)
+
+
+def slope_half_width(noise: float, gap: float, error: float) -> int:
+    """Readings either side of which a line through all has a slope of a standard deviation of at most ``error``.
+
+    A line through 2 h + 1 readings at equal gaps d has a slope of the variance 3 s^2/(h (h + 1) (2 h + 1) d^2).
+
+    Args:
+        noise: Standard deviation s of white noise of the readings.
+        gap: Time d from one reading to the next [s].
+        error: The largest standard deviation of the slope.
+    """
+    ratio = min(noise / (gap * max(error, TINY)), 1e6)
+    return max(1, math.ceil((1.5 * ratio**2) ** (1.0 / 3.0)))
+
+
+def slopes(series: np.ndarray, half_width: int) -> np.ndarray:
+    """Slopes of lines through each sample and some either side, per sample; shape (n,).
+
+    Args:
+        series: The samples, shape (n,).
+        half_width: Number of samples either side; fewer in a short series. The ends are repeated.
+    """
+    half_width = min(half_width, max(1, len(series) // 2))
+    positions = np.arange(-half_width, half_width + 1)
+    extended = np.pad(series, half_width, mode="edge")
+    return np.correlate(extended, positions.astype(float), mode="valid") / float(np.sum(positions**2))
