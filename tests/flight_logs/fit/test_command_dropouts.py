@@ -46,7 +46,7 @@ def test_repeated_commands_are_told_with_their_times(predictions):
     assert "and at 2 more times of the study" in text
     begins = [float(part.split()[0]) for part in text.split(" from ")[1:4]]
     assert set(np.round(begins, 6)) <= {round(begin * DT, 6) for begin in BEGINS}
-    assert "the residual of y falls from " in text
+    assert "the residual falls, that of y from " in text
 
 
 def test_missing_rows_are_told(predictions):
