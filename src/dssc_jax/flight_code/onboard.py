@@ -125,11 +125,7 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
             number = jax.ShapeDtypeStruct((), jnp.result_type(float))
             values = (number,) * (len(keys) + len(laws))
             plant_state = jax.eval_shape(lambda numbers: as_arrays(loop.plant.init(params_of(numbers))), values)
-            estimation = loop.mimo_plant.estimation
-            if estimation is not None and estimation.is_enabled(study.template.plant):
-                plant_state = jax.eval_shape(
-                    lambda state: as_arrays(estimation.estimated_state(study.template.plant, state)), plant_state
-                )
+            plant_state = estimated_shape(study, plant_state)
             readings = jax.tree.map(lambda leaf: number, without_software(software, plant_state))
             held = jax.tree.map(lambda leaf: number, software.held(plant_state))
             commands = (number,) * count
@@ -137,7 +133,7 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
             traced_sample, _ = traced_function(sample, values, readings, held, commands)
             traced_tick, _ = traced_function(tick, values, readings, held)
             state_names = leaf_names(held)
-            drive_names = tuple(held_name for held_name in state_names if held_name.startswith(f"{software.drives}_"))
+            drive_names = names_in_field(state_names, software.drives)
             traced_transfer = None
             if software.taken_over is not None:
                 drives = (number,) * len(drive_names)
@@ -146,9 +142,6 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         raise ConfigError("plant", f"its software has no exact form in C: {problem}") from None
     command_names = member_names(channel or "command" for channel in loop.channels)
     reading_names = leaf_names(readings)
-    directions = []  # the components of a field's vector are named FIELD_1, FIELD_2, ...
-    for field in software.directions:
-        directions.append(tuple(reading for reading in reading_names if reading.startswith(f"{field}_")))
     return TracedSoftware(
         prefix=f"{name}_inner_loop",
         parameters=parameters,
@@ -165,8 +158,22 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         period=period,
         precision=study.config.loop.precision,
         outputs=software.outputs(study.template.plant),
-        directions=tuple(directions),
+        directions=tuple(names_in_field(reading_names, field) for field in software.directions),
     )
+
+
+def estimated_shape(study: Study, plant_state: State) -> State:
+    """Shapes and dtypes of the plant's state as its estimator reports it; of the true state without an estimator."""
+    params = study.template.plant
+    estimation = study.loop.mimo_plant.estimation
+    if estimation is None or not estimation.is_enabled(params):
+        return plant_state
+    return jax.eval_shape(lambda state: as_arrays(estimation.estimated_state(params, state)), plant_state)
+
+
+def names_in_field(names: Sequence[str], field: str) -> tuple[str, ...]:
+    """The names in C of a field's leaves, which begin with the field: FIELD_1, FIELD_2, ..."""
+    return tuple(name for name in names if name.startswith(f"{field}_"))
 
 
 def software_parameters(study: Study, software: Onboard) -> tuple[Parameter, ...]:
