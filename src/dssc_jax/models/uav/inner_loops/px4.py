@@ -34,7 +34,6 @@ from dssc_jax.models.uav.inner_loops.sampled import (
     LowPass,
     Readings,
     Trim,
-    Wrench,
     blend,
     canonical,
     conjugate,
@@ -47,6 +46,7 @@ from dssc_jax.models.uav.inner_loops.sampled import (
     smoothing,
 )
 from dssc_jax.models.uav.inner_loops.start import Start
+from dssc_jax.models.uav.rotors import Wrench
 from dssc_jax.models.uav.vehicle import GRAVITY
 
 RATE_OF_LESS_INTEGRAL = math.radians(400.0)

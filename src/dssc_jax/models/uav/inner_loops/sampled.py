@@ -13,6 +13,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.inner_loops.start import Start
+from dssc_jax.models.uav.rotors import Wrench
 
 
 class Readings(NamedTuple):
@@ -50,13 +51,6 @@ class Craft(NamedTuple):
     def full_thrust(self) -> Scalar:
         """Thrust of all rotors at their limit [N]."""
         return len(self.allocation) * self.rotor_limit
-
-
-class Wrench(NamedTuple):
-    """Thrust along body z [N] and moment, body frame [N m]."""
-
-    thrust: Scalar
-    moment: Vec3
 
 
 class Angles(NamedTuple):
