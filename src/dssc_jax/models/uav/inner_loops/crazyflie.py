@@ -19,12 +19,19 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip, is_zero, wrap_angle
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
-from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Trim, angles_of, limited, require_integral
+from dssc_jax.models.uav.inner_loops.sampled import (
+    Craft,
+    Readings,
+    Trim,
+    angles_of,
+    limited,
+    require_integral,
+    require_triples,
+)
 from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.rotors import Wrench
 from dssc_jax.models.uav.vehicle import GRAVITY
@@ -137,9 +144,7 @@ class CrazyflieGains(NamedTuple):
 
         A settled start also needs an integral gain of climb.
         """
-        for name in TRIPLES:
-            if len(getattr(self, name)) != 3:
-                raise ConfigError(name, f"needs three values, roll, pitch and yaw; got {len(getattr(self, name))}")
+        require_triples(self, TRIPLES)
         require_integral(self, "climb_i")
         return self
 

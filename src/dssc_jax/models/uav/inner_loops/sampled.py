@@ -1,6 +1,7 @@
 """Common parts of the sampled inner loops: inputs, results, limits, and the filters of autopilots."""
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
@@ -133,6 +134,18 @@ def require_integral(gains: StartsSettled, gain: str) -> None:
     if gains.start is Start.SETTLED and nominal(getattr(gains, gain)) == 0.0:
         rule = "'settled' is the equilibrium of the integrals"
         raise ConfigError("start", f"{rule}, and with {gain} = 0 the vertical velocity has none: set 'zero'")
+
+
+def require_triples(gains: object, names: Iterable[str]) -> None:
+    """Require three values, of roll, pitch and yaw, in each of some fields of an inner loop's gains.
+
+    Raises:
+        ConfigError: A field has another number of values.
+    """
+    for name in names:
+        count = len(getattr(gains, name))
+        if count != 3:
+            raise ConfigError(name, f"needs three values, roll, pitch and yaw; got {count}")
 
 
 def allocated_moment(craft: Craft, thrusts: tuple[Scalar, ...]) -> Vec3:
