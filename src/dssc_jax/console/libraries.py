@@ -86,7 +86,7 @@ def controller_summary(controller: NativeController) -> ControllerSummary:
         }
     return {
         "sample_time": controller.sample_time,
-        "precision": 8 * controller.real,
+        "precision": 8 * controller.number_size,
         "bytes": controller.size,
         "parameters": parameters,
         "measured": {number.name: number.quantity.unit for number in controller.measured},

@@ -71,8 +71,8 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
     if software is not None:
         sample = software.sample
         software = software._replace(sample=lambda params, state, drive, dt: sample(params, state, plain(drive), dt))
-    same: Plant[Any, Any] = plant
-    return same._replace(
+    untyped_plant: Plant[Any, Any] = plant  # its replaced functions take and return tuples
+    return untyped_plant._replace(
         derivative=lambda params, state, drive, t: plant.derivative(params, state, plain(drive), t),
         measure=lambda params, state, drive: (plant.measure(params, state, plain(drive)),),
         input_gain=lambda params: (plant.input_gain(params),),

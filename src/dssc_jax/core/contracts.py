@@ -262,7 +262,7 @@ class Variation(StrEnum):
 
 
 class Disturbance(NamedTuple):
-    """A matched disturbance d(y, y', t) [m/s].
+    """A matched disturbance d(y, y', t), in the unit of the command [u].
 
     Args:
         params: NamedTuple type of the parameters.

@@ -364,9 +364,9 @@ class HeldFolder:
         except OSError:
             present = None  # nothing is there
         if present != self._identity:
-            raise ConfigError(str(self._shown), self._loss())
+            raise ConfigError(str(self._shown), self._fate())
 
-    def _loss(self) -> str:
+    def _fate(self) -> str:
         """What became of the folder, in words: it was deleted, or moved to a place that Linux may tell."""
         location = ""
         if self._descriptor is not None:

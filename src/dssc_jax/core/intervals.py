@@ -144,10 +144,10 @@ def range_of_sine(function: Callable[[np.ndarray], np.ndarray], crest: float, a:
     first_trough = np.ceil((a.low - crest - math.pi) / TURN)
     has_crest = crest + TURN * first_crest <= a.high
     has_trough = crest + math.pi + TURN * first_trough <= a.high
-    of_ends = hull([function(a.low), function(a.high)], a)
-    low = np.where(has_trough, -1.0, np.maximum(of_ends.low, -1.0))
-    high = np.where(has_crest, 1.0, np.minimum(of_ends.high, 1.0))
-    return Interval(low, high, of_ends.defined)
+    end_range = hull([function(a.low), function(a.high)], a)
+    low = np.where(has_trough, -1.0, np.maximum(end_range.low, -1.0))
+    high = np.where(has_crest, 1.0, np.minimum(end_range.high, 1.0))
+    return Interval(low, high, end_range.defined)
 
 
 def sine(a: Interval) -> Interval:

@@ -247,8 +247,8 @@ def delay_weights(samples: Scalar, count: int) -> list[Scalar]:
     whole = jnp.minimum(jnp.floor(samples), count - 2.0)  # n
     weights = []
     for age in range(count):
-        newer = jnp.where(whole == age, 1.0 - (samples - age), 0.0)  # 1 - f
-        weights.append(jnp.where(whole == age - 1, 1.0 - (age - samples), newer))
+        weight = jnp.where(whole == age, 1.0 - (samples - age), 0.0)  # 1 - f
+        weights.append(jnp.where(whole == age - 1, 1.0 - (age - samples), weight))  # f
     return weights
 
 

@@ -157,10 +157,12 @@ def held_mean(record: HeldRecord, t: Scalar, dt: Scalar) -> Scalar:
     has_jump = last > first
     next_begin = jnp.minimum(first, len(begins) - 1)
     last_begin = jnp.maximum(last - 1, 0)
-    before = values[first] * (begins[next_begin] - t)
-    between = integrals[last_begin] - integrals[next_begin]
-    after = values[last] * (end - begins[last_begin])
-    return jnp.where(has_jump, (before + between + after) / dt, values[first])
+    # the integral over the interval: up to the first jump, between the jumps, and from the last jump on
+    integral_before = values[first] * (begins[next_begin] - t)
+    integral_between = integrals[last_begin] - integrals[next_begin]
+    integral_after = values[last] * (end - begins[last_begin])
+    integral = integral_before + integral_between + integral_after
+    return jnp.where(has_jump, integral / dt, values[first])
 
 
 def piece_at(pieces: Pieces, t: Scalar) -> ReferencePoint:

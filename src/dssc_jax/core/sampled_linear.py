@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from dssc_jax.core.numerics import is_known, is_zero
 from dssc_jax.core.signals import Scalar
@@ -187,7 +186,11 @@ def hold(a: Rows, forcings: Sequence[Forcing], h: Scalar) -> HeldSystem:
         h: Length of the step [s].
     """
     size = len(a)
-    starts = tuple(int(start) for start in size + np.cumsum([0, *(forcing.terms for forcing in forcings)])[:-1])
+    starts = []
+    next_column = size
+    for forcing in forcings:
+        starts.append(next_column)
+        next_column += forcing.terms
     rates: Entries = {}
     for row, numbers in enumerate(a):
         for column, number in enumerate(numbers):
@@ -197,12 +200,12 @@ def hold(a: Rows, forcings: Sequence[Forcing], h: Scalar) -> HeldSystem:
         for row, number in enumerate(forcing.column):
             if not is_zero(number):
                 rates[row, start] = number * h
-    chains = {}  # (row, column) of the shift from one term to the next: p_1' = p_2/h, p_2' = p_3/h
+    chains = {}  # the shifts from one term to the next: p_1' = p_2/h, p_2' = p_3/h
     for start, forcing in zip(starts, forcings, strict=True):
         for k in range(forcing.terms - 1):
             chains[start + k] = start + k + 1
     half, full = exponentials(size, rates, chains)
-    return HeldSystem(Transition(size, full, starts), Transition(size, half, starts))
+    return HeldSystem(Transition(size, full, tuple(starts)), Transition(size, half, tuple(starts)))
 
 
 def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Entries, Entries]:
@@ -249,8 +252,9 @@ def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Ent
             values, t = carry
             return double(values, t), 2.0 * t
 
-        begin = tuple(jnp.asarray(value, real) for value in values), jnp.asarray(shortest, real)
-        values, _ = jax.lax.fori_loop(0, DOUBLINGS - 1, doubling, begin)
+        first_values = tuple(jnp.asarray(value, real) for value in values)
+        first_time = jnp.asarray(shortest, real)
+        values, _ = jax.lax.fori_loop(0, DOUBLINGS - 1, doubling, (first_values, first_time))
     full = double(values, 0.5)
     return dict(zip(pattern, values, strict=True)), dict(zip(pattern, full, strict=True))
 

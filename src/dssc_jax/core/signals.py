@@ -1,4 +1,7 @@
-"""Signals between models: measurements, reference points, commands, plant inputs, tracking errors, outcomes."""
+"""Signals between models: measurements, reference points, commands, plant inputs, tracking errors, outcomes.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+"""
 
 from collections.abc import Callable
 from enum import IntEnum
@@ -22,8 +25,8 @@ class Measurement(NamedTuple):
     """A measurement of one channel.
 
     Args:
-        y: Output [m].
-        y_dot: Derivative of the output [m/s].
+        y: Output [y].
+        y_dot: Derivative of the output [y/s].
         signals: The other measured signals in the order of the study's ``measures``. Only the controller gets them: the
             measurements of the plant, of sensors and of differentiators have none.
     """
@@ -34,7 +37,7 @@ class Measurement(NamedTuple):
 
 
 class ReferencePoint(NamedTuple):
-    """Desired output ``y`` = y_m [m] with its first derivative ``y_dot`` [m/s] and second ``y_ddot`` [m/s^2]."""
+    """Desired output ``y`` = y_m [y] with its first derivative ``y_dot`` [y/s] and second ``y_ddot`` [y/s^2]."""
 
     y: Scalar
     y_dot: Scalar
@@ -55,7 +58,7 @@ Signal = TypeVar("Signal", bound=Scalar | Signals)
 
 
 class Command(NamedTuple):
-    """A controller's command u_p of equation (11) in its two parts, u (robust) and u_n (nominal) [m/s]."""
+    """A controller's command u_p of equation (11) in its two parts, u (robust) and u_n (nominal) [u]."""
 
     robust: Scalar
     nominal: Scalar
@@ -70,8 +73,8 @@ class PlantInput(NamedTuple, Generic[Signal]):
     """The plant's input.
 
     Args:
-        command: The command u_p after the actuators [m/s]; a tuple for a plant with several channels.
-        disturbance: The matched disturbance d [m/s]; a tuple for a plant with several channels.
+        command: The command u_p after the actuators [u]; a tuple for a plant with several channels.
+        disturbance: The matched disturbance d [u]; a tuple for a plant with several channels.
         wind: A ``Vec3`` [m/s] for flying plants; None: there is no wind.
         inputs: The disturbances at the inputs that the plant names, in their order.
         condition: The changes that events have made to a vehicle, a :class:`dssc_jax.core.events.Condition`; None: no
@@ -99,7 +102,7 @@ class Outcome(IntEnum):
 
 
 class TrackingError(NamedTuple):
-    """Output error e = y - y_m (9) [m] and the output of relative degree one sigma = e' + l_0 e (10) [m/s]."""
+    """Output error e = y - y_m (9) [y] and the output of relative degree one sigma = e' + l_0 e (10) [y/s]."""
 
     e: Scalar
     sigma: Scalar

@@ -116,7 +116,7 @@ def parse_unit(text: str) -> Powers:
     hint = f"; exponents are written as in {with_powers!r}" if with_powers != text else ""
     message = f"must be a product of powers such as rad/s, N m or kg m^2, got {text!r}{hint}"
     try:
-        powers, end = product(text, 0)
+        powers, end = parse_product(text, 0)
     except (StopIteration, ZeroDivisionError):
         raise ValueError(message) from None
     if end != len(text):
@@ -140,7 +140,7 @@ def scaled_symbols(text: str) -> dict[str, tuple[float, str]]:
     return symbols
 
 
-def product(text: str, position: int) -> tuple[Powers, int]:
+def parse_product(text: str, position: int) -> tuple[Powers, int]:
     """Parse the product of powers that begins at a position of a text.
 
     It ends at a closing parenthesis, at the end of the text, or before text that is no part of a unit.
@@ -159,12 +159,12 @@ def product(text: str, position: int) -> tuple[Powers, int]:
             raise StopIteration
         position = token.end()
         if token["mark"] == "(":
-            factor, position = product(text, position)
-            closed = CLOSING.match(text, position)
-            if closed is None:
+            factor, position = parse_product(text, position)
+            closing = CLOSING.match(text, position)
+            if closing is None:
                 raise StopIteration
-            position = closed.end()
-            power = closed["power"]
+            position = closing.end()
+            power = closing["power"]
         else:
             factor = {} if token["symbol"] == "1" else {token["symbol"]: Fraction(1)}
             power = token["power"]

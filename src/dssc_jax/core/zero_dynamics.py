@@ -74,12 +74,13 @@ def require_hurwitz(dynamics: ZeroDynamics) -> None:
     extents = [extent(value) for value in dynamics.a]
     low = tuple(least for least, _ in extents)
     high = tuple(greatest for _, greatest in extents)
-    for corner in kharitonov(low, high):
-        if not np.all(np.isfinite(corner)) or not is_hurwitz(corner):
+    for polynomial in kharitonov(low, high):
+        if not np.all(np.isfinite(polynomial)) or not is_hurwitz(polynomial):
+            rounded = [float(f"{coefficient:g}") for coefficient in polynomial]
             raise ConfigError(
                 "zero_dynamics.a",
-                f"A_eta must be Hurwitz (minimum phase); s^{len(corner)} + ... with coefficients "
-                f"{[float(f'{value:g}') for value in corner]} in rising powers is not",
+                f"A_eta must be Hurwitz (minimum phase); s^{len(polynomial)} + ... with coefficients "
+                f"{rounded} in rising powers is not",
             )
 
 

@@ -13,8 +13,10 @@ def channels_text(code: FlightCode) -> str:
     restart: list[str] = []
     check: list[str] = []
     advance: list[str] = []
+    names: list[str] = []
     for position, controller in enumerate(controllers):
         name = controller.prefix
+        names += name_tables(controller)
         case = f"case {position}:"
         prepare += [case, f"    prepare_{name}(given);", "    break;"]
         restart += [case, f"    {name}_reset(&controller_of_{name});", "    break;"]
@@ -31,7 +33,7 @@ def channels_text(code: FlightCode) -> str:
         signals=str(len(controllers[0].signals)),
         most_results=str(max(len(row_names(controller)) for controller in controllers)),
         functions="\n\n".join(channel_functions(controller) for controller in controllers),
-        names=[line for controller in controllers for line in name_tables(controller)],
+        names=names,
         shapes=[channel_shape(controller) for controller in controllers],
         prepare=prepare,
         restart=restart,

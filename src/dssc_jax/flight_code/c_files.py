@@ -6,6 +6,7 @@ import numpy as np
 
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.operations import c_type
+from dssc_jax.lanes.c.text import comment
 
 LENGTH_ERROR = 1e-3
 """Largest deviation from 1 of the length of a vector that should have it."""
@@ -32,6 +33,14 @@ def header_file(name: str, remarks: Iterable[str], declarations: str) -> str:
         declarations: All declarations.
     """
     return fill("header.h", comment=remarks, guard=f"{name.upper()}_H", declarations=declarations)
+
+
+def comment_lines(sentences: Iterable[str]) -> list[str]:
+    """The lines of a comment in C for each sentence, one after the other."""
+    lines = []
+    for sentence in sentences:
+        lines += comment(sentence)
+    return lines
 
 
 def absolute_value(real: np.dtype) -> str:

@@ -197,23 +197,25 @@ def trace_controller(study: Study, index: int) -> SampledController:
     parameters = channel_parameters(study, index)
     keys = [parameter.key for parameter in parameters]
 
-    # Generated C would repeat docstrings of these three functions; SampledController tells what they compute.
+    # Generated C would repeat docstrings of these functions; SampledController tells what the last three compute.
+
+    def params_of(numbers: tuple[Scalar, ...]) -> Any:
+        return study.params(dict(zip(keys, numbers, strict=True)))
 
     def start(numbers: tuple[Scalar, ...], measurement: Measurement, reference: ReferencePoint) -> Any:
-        params = study.params(dict(zip(keys, numbers, strict=True)))
-        return as_arrays(initial_control(loop, params, index, measurement, reference))
+        return as_arrays(initial_control(loop, params_of(numbers), index, measurement, reference))
 
     def step(
         numbers: tuple[Scalar, ...], state: ControlState, measurement: Measurement, reference: ReferencePoint
     ) -> Any:
-        params = study.params(dict(zip(keys, numbers, strict=True)))
+        params = params_of(numbers)
         after, controlled = control(loop, params, index, state, measurement, reference)
         return as_arrays((after, command_parts(controlled.command), controlled.info))
 
     def transfer(
         numbers: tuple[Scalar, ...], command: Scalar, measurement: Measurement, reference: ReferencePoint
     ) -> Any:
-        params = study.params(dict(zip(keys, numbers, strict=True)))
+        params = params_of(numbers)
         state = transfer_control(loop, params, index, measurement, reference, command)
         assert state is not None  # traced only if the controller has a transfer
         _, controlled = control(loop, params, index, state, measurement, reference)
@@ -266,7 +268,8 @@ def require_real_numbers(channel: str, state: ControlState) -> None:
             continue
         slot, _, field = keystr(path, simple=True, separator=".").partition(".")  # such as "controller", "z.value"
         if leaf.shape:
-            kind, remedy = f"an array of shape {leaf.shape}", "keep its numbers in fields of their own, such as a tuple"
+            kind = f"an array of shape {leaf.shape}"
+            remedy = "keep its numbers in fields of their own, such as a tuple"
         else:
             kind = f"{leaf.dtype}, which wraps"
             remedy = "keep a counter as an int, and write where it begins again: jnp.where(n >= 255, 0, n + 1)"
@@ -329,4 +332,7 @@ def channel_labels(channels: tuple[str, ...]) -> list[str]:
 
 def study_values(controllers: Sequence[SampledController]) -> dict[str, float]:
     """The study's values of the parameters of all controllers, by key."""
-    return {parameter.key: parameter.value for controller in controllers for parameter in controller.parameters}
+    values = {}
+    for controller in controllers:
+        values |= {parameter.key: parameter.value for parameter in controller.parameters}
+    return values

@@ -72,20 +72,33 @@ class OperationCount:
             if id(node) not in self._reachable:
                 continue
             if isinstance(node, Value):
-                operations = 0 if node.operation in FREE else 1
-                self.depths[id(node)] = self.deepest(node.operands, start) + operations
-                if operations:
-                    counts[node.operation] += operations
+                counts += self.value(node, start)
             elif isinstance(node, CodeLoop):
-                self.loops += 1
-                counts += self.block(node.body, self.deepest(node.initial_states, start))
-                self.finish(node.results, self.deepest([*node.initial_states, *node.next_states], start))
+                counts += self.loop(node, start)
             elif isinstance(node, Branch):
-                depth = self.deepest([node.condition], start)
-                counts_of_sides = [self.block(side, depth) for side in node.sides]
-                counts += max(counts_of_sides, key=Counter.total)
-                self.finish(node.results, self.deepest([node.condition, *node.values[0], *node.values[1]], start))
+                counts += self.branch(node, start)
         return counts
+
+    def value(self, value: Value, start: int) -> Counter[str]:
+        """Count the operation that computes a value, and set the value's depth; arguments as for :meth:`block`."""
+        is_free = value.operation in FREE
+        operand_depth = self.deepest(value.operands, start)
+        self.depths[id(value)] = operand_depth if is_free else operand_depth + 1
+        return Counter() if is_free else Counter([value.operation])
+
+    def loop(self, loop: CodeLoop, start: int) -> Counter[str]:
+        """Count the operations of a loop's body once; arguments as for :meth:`block`."""
+        self.loops += 1
+        counts = self.block(loop.body, self.deepest(loop.initial_states, start))
+        self.finish(loop.results, self.deepest([*loop.initial_states, *loop.next_states], start))
+        return counts
+
+    def branch(self, branch: Branch, start: int) -> Counter[str]:
+        """Count the operations of the side with more of them; arguments as for :meth:`block`."""
+        depth = self.deepest([branch.condition], start)
+        counts_of_sides = [self.block(side, depth) for side in branch.sides]
+        self.finish(branch.results, self.deepest([branch.condition, *branch.values[0], *branch.values[1]], start))
+        return max(counts_of_sides, key=Counter.total)
 
     def deepest(self, values: Iterable[Value], start: int) -> int:
         """The depth at which all of some values are computed, in a block that begins at the depth ``start``."""

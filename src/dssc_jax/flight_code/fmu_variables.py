@@ -14,8 +14,10 @@ from dssc_jax.lanes.c.names import c_string
 from dssc_jax.lanes.c.operations import c_literal
 from dssc_jax.study import Study
 
-PARAMETER, INPUT, OUTPUT = "parameter", "input", "output"
-"""Causalities of FMI, in the order of the value references."""
+# causalities of FMI, in the order of the value references
+PARAMETER = "parameter"
+INPUT = "input"
+OUTPUT = "output"
 
 FLAG_MEANING = (
     "0, or 1 (an input is not finite) or 2 (the command or the state would not be finite); then both are held"

@@ -28,9 +28,8 @@ from dssc_jax.flight_code.traced_monitor import TracedMonitor, traced_monitor
 from dssc_jax.lanes.unsupported import Unsupported
 from dssc_jax.study import Study
 
-RECORDED_DRAWS = 32
 RECORDED_SAMPLES = 2000
-"""Default numbers of recorded draws and of samples of each."""
+"""Default number of recorded samples of a draw, at most."""
 
 
 def certificate_sentence(study: Study) -> str:
@@ -89,7 +88,7 @@ class FlightFolder:
         """The same controllers as an FMU."""
         return controller_fmu(self.code)
 
-    def recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
+    def recording(self, draws: int, samples: int | None) -> Iterable[bytes]:
         """The bytes of the controllers' recording, in parts.
 
         Args:
@@ -103,14 +102,14 @@ class FlightFolder:
         draw_records = recorded_draws(self.code.study, self.code.controllers, draws, count)
         return self._with_config_errors(recording(draw_records, self.code.precision))
 
-    def monitor_recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
+    def monitor_recording(self, draws: int, samples: int | None) -> Iterable[bytes]:
         """The bytes of the monitor's recording; arguments and errors as for :meth:`recording`."""
         assert self.monitor is not None
         draws, count = self._counts(draws, samples)
         flights = recorded_flights(self.code.study, self.monitor, draws, count)
         return self._with_config_errors(recording_bytes(MONITOR, flights, self.code.precision))
 
-    def software_recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
+    def software_recording(self, draws: int, samples: int | None) -> Iterable[bytes]:
         """The bytes of the recording of the software on board; arguments and errors as for :meth:`recording`."""
         assert self.software is not None
         draws, count = self._counts(draws, samples)

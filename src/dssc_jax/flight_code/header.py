@@ -3,11 +3,10 @@
 from collections.abc import Iterable
 
 from dssc_jax.core.signals import ReferencePoint
-from dssc_jax.flight_code.c_files import header_file
+from dssc_jax.flight_code.c_files import comment_lines, header_file
 from dssc_jax.flight_code.controller import COMMAND, FlightCode, SampledController
 from dssc_jax.flight_code.parameters import parameter_comment
 from dssc_jax.flight_code.template_files import fill
-from dssc_jax.lanes.c.text import comment
 from dssc_jax.study import Study
 
 ANGLE_NOTE = """
@@ -32,7 +31,7 @@ def file_comment(code: FlightCode) -> list[str]:
         "Compile without contraction and without fast arithmetic: cc -std=c99 -O2 -ffp-contract=off.",
         f"Not generated: {'; '.join(missing_parts(code.study))}.",
     ]
-    return [line for sentence in sentences for line in comment(sentence)]
+    return comment_lines(sentences)
 
 
 def missing_parts(study: Study) -> list[str]:

@@ -32,12 +32,17 @@ def channel_text(code: FlightCode, controller: SampledController) -> str:
         "telemetry": telemetry_rows(code, controller),
         "measured": measured_rows(controller),
     }
-    table_arguments = {kind: table_argument(f"{name}_{kind}_table", rows) for kind, rows in tables.items()}
+    definitions = []
+    table_arguments = {}
+    for kind, rows in tables.items():
+        table = f"{name}_{kind}_table"
+        definitions += table_lines(table, rows)
+        table_arguments[kind] = table_argument(table, rows)
     return fill(
         "description_channel.c",
         name=name,
         sample_time=c_literal(DOUBLE.type(code.study.loop.sample_time), DOUBLE),
-        tables=[line for kind, rows in tables.items() for line in table_lines(f"{name}_{kind}_table", rows)],
+        tables=definitions,
         parameters=table_arguments["parameter"],
         telemetry=table_arguments["telemetry"],
         measured=table_arguments["measured"],
@@ -50,7 +55,7 @@ def parameter_rows(controller: SampledController) -> list[str]:
     rows = []
     for parameter in read_parameters(controller):
         quantity = parameter.quantity or computed_quantity
-        low, high = limits(quantity, controller.real)
+        low, high = c_limits(quantity, controller.real)
         texts = f"{c_string(quantity.unit)}, {c_string(quantity.meaning)}"
         rows.append(f"DSSC_JAX_PARAMETER({controller.prefix}, {parameter.name}, {texts}, {low}, {high})")
     return rows
@@ -95,7 +100,7 @@ def table_argument(name: str, rows: Sequence[str]) -> str:
     return f"{name}, DSSC_JAX_COUNT({name})" if rows else "NULL, 0"
 
 
-def limits(quantity: Quantity, real: np.dtype) -> tuple[str, str]:
+def c_limits(quantity: Quantity, real: np.dtype) -> tuple[str, str]:
     """The least and the greatest admissible value of a quantity in C; an excluded bound is moved to the next number."""
     low = -np.inf if quantity.at_least is None else quantity.at_least
     high = np.inf if quantity.at_most is None else quantity.at_most

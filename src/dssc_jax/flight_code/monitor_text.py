@@ -1,6 +1,6 @@
 """The files of a monitor: header and source in C99 that is C++ as well, its bench, and its section of the README."""
 
-from dssc_jax.flight_code.c_files import header_file, joined_definitions, source_file
+from dssc_jax.flight_code.c_files import comment_lines, header_file, joined_definitions, source_file
 from dssc_jax.flight_code.premises import Premises
 from dssc_jax.flight_code.replay_bench import ReplayBench, bench_files
 from dssc_jax.flight_code.template_files import fill
@@ -52,7 +52,7 @@ def file_comment(monitor: TracedMonitor, study: str) -> list[str]:
         monitor.premises.unwatched,
         "Compile without contraction and without fast arithmetic: cc -std=c99 -O2 -ffp-contract=off.",
     ]
-    return [line for sentence in sentences if sentence for line in comment(sentence)]
+    return comment_lines(filter(None, sentences))  # without an empty one
 
 
 def flag_name(monitor: TracedMonitor, name: str) -> str:

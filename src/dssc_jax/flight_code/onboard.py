@@ -4,9 +4,9 @@ Its gains are parameters of the code. All other numbers of the study are constan
 the software reads it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -79,6 +79,60 @@ def without_software(software: Onboard, state: State) -> State:
     return software.holding(state, ())  # (): nothing held
 
 
+class SoftwareFunctions(NamedTuple):
+    """The functions of software on board, of trees of scalars, before they are traced.
+
+    Args:
+        params_of: ``(numbers) -> parameters of the plant``, from the parameters and the numbers with laws.
+        start: The states before the first sample; arguments of this and the next functions as of
+            :class:`TracedSoftware`.
+        sample: The part that runs at a sample of the loop.
+        tick: The part that runs at a tick.
+        transfer: The states for a takeover in flight, where the software can take over.
+    """
+
+    params_of: Callable[[Sequence[Scalar]], Any]
+    start: Callable[..., State]
+    sample: Callable[..., State]
+    tick: Callable[..., State]
+    transfer: Callable[..., State]
+
+
+def software_functions(study: Study, software: Onboard, period: float, names: Sequence[str]) -> SoftwareFunctions:
+    """The functions of the software on board of a study's plant.
+
+    Args:
+        study: The study.
+        software: The software.
+        period: Time between two ticks [s].
+        names: Names of the numbers with which each function begins.
+    """
+    loop = study.loop
+
+    # Generated C would repeat docstrings of these functions; the type of the result tells what they compute.
+
+    def params_of(values: Sequence[Scalar]) -> Any:
+        return study.params(dict(zip(names, values, strict=True))).plant
+
+    def start(values: Sequence[Scalar], readings: State) -> State:
+        return as_arrays(software.start(params_of(values), readings, None))
+
+    def sample(values: Sequence[Scalar], readings: State, held: State, commands: tuple[Scalar, ...]) -> State:
+        params = params_of(values)
+        drive = PlantInput(commands, (0.0,) * len(commands), None, quiet_inputs(loop.plant, params))
+        state = software.holding(readings, held)
+        return as_arrays(software.held(software.sample(params, state, drive, loop.sample_time)))
+
+    def tick(values: Sequence[Scalar], readings: State, held: State) -> State:
+        return as_arrays(software.held(software.tick(params_of(values), software.holding(readings, held), period)))
+
+    def transfer(values: Sequence[Scalar], readings: State, driven: tuple[Scalar, ...]) -> State:
+        assert software.taken_over is not None  # traced only if there is one
+        return as_arrays(software.taken_over(params_of(values), readings, driven, loop.sample_time))
+
+    return SoftwareFunctions(params_of, start, sample, tick, transfer)
+
+
 def traced_software(study: Study, name: str) -> TracedSoftware | None:
     """Trace the software on board of a study's plant; None if the plant has none.
 
@@ -97,58 +151,30 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
     parameters = software_parameters(study, software)
     keys = [parameter.key for parameter in parameters]
     laws = tuple(sorted(set(study.laws).difference(keys)))
-    count = len(loop.channels)
-
-    # Generated C would repeat docstrings of these functions; TracedSoftware tells what the last four compute.
-
-    def params_of(values: Sequence[Scalar]) -> Any:
-        return study.params(dict(zip((*keys, *laws), values, strict=True))).plant
-
-    def start(values: Sequence[Scalar], readings: State) -> State:
-        return as_arrays(software.start(params_of(values), readings, None))
-
-    def sample(values: Sequence[Scalar], readings: State, held: State, commands: tuple[Scalar, ...]) -> State:
-        params = params_of(values)
-        drive = PlantInput(commands, (0.0,) * count, None, quiet_inputs(loop.plant, params))
-        state = software.holding(readings, held)
-        return as_arrays(software.held(software.sample(params, state, drive, loop.sample_time)))
-
-    def tick(values: Sequence[Scalar], readings: State, held: State) -> State:
-        return as_arrays(software.held(software.tick(params_of(values), software.holding(readings, held), period)))
-
-    def transfer(values: Sequence[Scalar], readings: State, driven: tuple[Scalar, ...]) -> State:
-        assert software.taken_over is not None  # traced only if there is one
-        return as_arrays(software.taken_over(params_of(values), readings, driven, loop.sample_time))
-
+    functions = software_functions(study, software, period, (*keys, *laws))
     try:
         with arithmetic(study.config.loop.precision):
             number = jax.ShapeDtypeStruct((), jnp.result_type(float))
             values = (number,) * (len(keys) + len(laws))
-            plant_state = jax.eval_shape(lambda numbers: as_arrays(loop.plant.init(params_of(numbers))), values)
-            estimation = loop.mimo_plant.estimation
-            if estimation is not None and estimation.is_enabled(study.template.plant):
-                plant_state = jax.eval_shape(
-                    lambda state: as_arrays(estimation.estimated_state(study.template.plant, state)), plant_state
-                )
+            params_of = functions.params_of
+            true_state = jax.eval_shape(lambda numbers: as_arrays(loop.plant.init(params_of(numbers))), values)
+            plant_state = estimated_shape(study, true_state)
             readings = jax.tree.map(lambda leaf: number, without_software(software, plant_state))
             held = jax.tree.map(lambda leaf: number, software.held(plant_state))
-            commands = (number,) * count
-            traced_start, _ = traced_function(start, values, readings)
-            traced_sample, _ = traced_function(sample, values, readings, held, commands)
-            traced_tick, _ = traced_function(tick, values, readings, held)
+            commands = (number,) * len(loop.channels)
+            traced_start, _ = traced_function(functions.start, values, readings)
+            traced_sample, _ = traced_function(functions.sample, values, readings, held, commands)
+            traced_tick, _ = traced_function(functions.tick, values, readings, held)
             state_names = leaf_names(held)
-            drive_names = tuple(held_name for held_name in state_names if held_name.startswith(f"{software.drives}_"))
+            drive_names = names_in_field(state_names, software.drives)
             traced_transfer = None
             if software.taken_over is not None:
                 drives = (number,) * len(drive_names)
-                traced_transfer, _ = traced_function(transfer, values, readings, drives)
+                traced_transfer, _ = traced_function(functions.transfer, values, readings, drives)
     except Unsupported as problem:
         raise ConfigError("plant", f"its software has no exact form in C: {problem}") from None
     command_names = member_names(channel or "command" for channel in loop.channels)
     reading_names = leaf_names(readings)
-    directions = []  # the components of a field's vector are named FIELD_1, FIELD_2, ...
-    for field in software.directions:
-        directions.append(tuple(reading for reading in reading_names if reading.startswith(f"{field}_")))
     return TracedSoftware(
         prefix=f"{name}_inner_loop",
         parameters=parameters,
@@ -165,8 +191,22 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         period=period,
         precision=study.config.loop.precision,
         outputs=software.outputs(study.template.plant),
-        directions=tuple(directions),
+        directions=tuple(names_in_field(reading_names, field) for field in software.directions),
     )
+
+
+def estimated_shape(study: Study, true_state: State) -> State:
+    """Shapes and dtypes of the plant's state as its estimator reports it; of the true state without an estimator."""
+    params = study.template.plant
+    estimation = study.loop.mimo_plant.estimation
+    if estimation is None or not estimation.is_enabled(params):
+        return true_state
+    return jax.eval_shape(lambda state: as_arrays(estimation.estimated_state(params, state)), true_state)
+
+
+def names_in_field(names: Sequence[str], field: str) -> tuple[str, ...]:
+    """The names in C of a field's leaves, which begin with the field: FIELD_1, FIELD_2, ..."""
+    return tuple(name for name in names if name.startswith(f"{field}_"))
 
 
 def software_parameters(study: Study, software: Onboard) -> tuple[Parameter, ...]:

@@ -32,7 +32,7 @@ def recording_lane(
 
     Each member of a row is a column of shape (samples,).
     """
-    uncertain = [parameter.key for parameter in traced.parameters if parameter.uncertain]
+    uncertain_keys = [parameter.key for parameter in traced.parameters if parameter.uncertain]
     loop = study.loop
     software = loop.mimo_plant.software
     assert software is not None
@@ -42,6 +42,7 @@ def recording_lane(
         params = study.params(values)
         key = draw_key(study.config.seed, index)
         real = jnp.result_type(float)
+        gains = tuple(values[uncertain] for uncertain in uncertain_keys)
         estimation = estimation_of(loop, params)
 
         def measured_state(state: State) -> State:
@@ -58,13 +59,13 @@ def recording_lane(
                 """Add the row of a tick, between two states of the plant."""
                 readings = jax.tree.leaves(measured_state(earlier))
                 commands = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
-                gains = (values[key] for key in uncertain)
-                row = (*readings, *commands, *gains, NO_FLAGS, *jax.tree.leaves(software.held(after)))
+                states = jax.tree.leaves(software.held(after))
+                row = (*readings, *commands, *gains, NO_FLAGS, *states)
                 rows.append(tuple(jnp.asarray(number, real) for number in row))
 
             advance = advance_by_steps(held_parts(loop), params.plant, params.unmodelled, record_tick)
-            following, _recorded = step(loop, params, key, state, k, advance)
-            return (following, k + 1), rows
+            next_state, _recorded = step(loop, params, key, state, k, advance)
+            return (next_state, k + 1), rows
 
         start = initial_state(loop, params, key)
         held = software.start(params.plant, measured_state(start.plant), None)  # None: as in C, it never settles
@@ -88,5 +89,5 @@ def recorded_ticks(study: Study, traced: TracedSoftware, draws: int, samples: in
         _, numbers = rows_of_ticks[0].shape
         rows = np.stack(rows_of_ticks, axis=1).reshape(-1, numbers)
         is_finite = np.isfinite(rows).all(axis=1)
-        first_unknown = len(rows) if is_finite.all() else int(np.argmin(is_finite))
-        yield rows[:first_unknown]
+        finite_rows = len(rows) if is_finite.all() else int(np.argmin(is_finite))
+        yield rows[:finite_rows]

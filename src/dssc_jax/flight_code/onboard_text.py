@@ -6,6 +6,7 @@ from typing import NamedTuple
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_code.c_files import (
     LENGTH_ERROR,
+    comment_lines,
     finite_condition,
     finite_function,
     header_file,
@@ -20,7 +21,7 @@ from dssc_jax.flight_code.parameters import Parameter, assignment_lines, check_l
 from dssc_jax.flight_code.replay_bench import ReplayBench, bench_files
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.operations import c_type
-from dssc_jax.lanes.c.text import CText, comment
+from dssc_jax.lanes.c.text import CText
 from dssc_jax.lanes.passes.liveness import read_inputs
 from dssc_jax.lanes.program import Value
 
@@ -119,13 +120,17 @@ class SoftwareFiles(NamedTuple):
     @property
     def readings(self) -> list[str]:
         """Names of the readings that at least one function reads."""
-        needed_names = {name for function in self.functions for name in function.readings}
+        needed_names: list[str] = []
+        for function in self.functions:
+            needed_names += function.readings
         return [name for name in self.software.readings if name in needed_names]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameters that at least one function reads."""
-        needed_names = {name for function in self.functions for name in function.parameters}
+        needed_names: list[str] = []
+        for function in self.functions:
+            needed_names += function.parameters
         return tuple(parameter for parameter in self.software.parameters if parameter.name in needed_names)
 
 
@@ -171,7 +176,7 @@ def file_comment(software: TracedSoftware, study: str) -> list[str]:
         "Compile without contraction and without fast arithmetic: cc -std=c99 -O2 -ffp-contract=off.",
     ]
     sentences += [sentence.replace("`", "") for sentence in software.outputs]
-    return [line for sentence in sentences for line in comment(sentence)]
+    return comment_lines(sentences)
 
 
 def declarations(files: SoftwareFiles) -> str:

@@ -48,7 +48,9 @@ def loop_parameters(
             it.
         units: Units of y and u, for numbers that the study computes.
     """
-    number_of_path = {path: number for number in study.numbers.values() for path in number.paths}
+    number_of_path = {}
+    for number in study.numbers.values():
+        number_of_path |= dict.fromkeys(number.paths, number)
     leaves, _ = tree_flatten_with_path(study.template)
     parameters: dict[str, Parameter] = {}
     for path, leaf in leaves:

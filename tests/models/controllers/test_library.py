@@ -64,7 +64,7 @@ def test_what_is_generated_gives_the_same_bits_when_it_is_loaded_again(place, pr
     file = built(place, f"generated_{precision}", folder.texts()["case_2_x_controller.c"])
     library = dj.allow_native(file)
     (controller,) = library.controllers
-    assert controller.real == precision // 8
+    assert controller.number_size == precision // 8
     gains = {"kind": "library", "file": str(file), "sha256": library.sha256}
     again = dj.Study.from_table({**original.table, "controller": gains})
     assert again.numbers["controller.rho"].value == 1.5

@@ -8,7 +8,7 @@ import pytest
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.allocation import allocate, geometry, pseudo_inverse
-from dssc_jax.models.uav.rotors import net
+from dssc_jax.models.uav.rotors import circle_wrench
 from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR
 
 ZERO = Vec3(0.0, 0.0, 0.0)
@@ -39,7 +39,7 @@ def test_allocation_inverts_the_geometry(vehicle):
         demand = np.array([thrust, *rng.uniform(-2.0, 2.0, 3)])
         thrusts = allocate(inverse, demand[0], Vec3(*demand[1:]), limit)
         assert not bool(thrusts.limited)
-        total, moment = net(vehicle, thrusts.commanded)
+        total, moment, _ = circle_wrench(vehicle, thrusts.commanded)
         worst = max(worst, float(np.abs(np.array([total, *moment]) - demand).max()) / thrust)
         largest_gap = max(
             largest_gap, float(np.abs(np.array(thrusts.commanded) - np.linalg.lstsq(plain, demand)[0]).max())

@@ -20,6 +20,7 @@ from dssc_jax.models.uav.inner_loops.article import (
     moment_for,
     trig_of,
 )
+from dssc_jax.models.uav.inner_loops.sampled import Craft
 from dssc_jax.models.uav.plant import UAV, UavParams
 from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR
 
@@ -135,8 +136,7 @@ def inner(gains, angles, omega, velocity, integral, command, yaw_integral=0.1, y
     integrals = Integrals(Vec3(*integral), yaw_integral)
     return demand(
         gains,
-        MASS,
-        Vec3(*INERTIA),
+        Craft(MASS, Vec3(*INERTIA), allocation=(), moments=(), rotor_limit=0.0),
         Vec3(*velocity),
         quaternion_of(at).matrix(),
         Vec3(*omega),

@@ -14,7 +14,7 @@ from dssc_jax.core.signals import PlantInput
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.models.uav.aerodynamics import drag
-from dssc_jax.models.uav.allocation import allocate, effects, pseudo_inverse
+from dssc_jax.models.uav.allocation import allocate, pseudo_inverse, wrench_matrix
 from dssc_jax.models.uav.desaturation import Desaturation, desaturated, scales_of
 from dssc_jax.models.uav.plant import UAV, UavParams
 from dssc_jax.models.uav.rotors import RotorMotion, rotor_torque, wrench
@@ -59,7 +59,7 @@ def test_force_and_moment_are_those_of_numpy():
         found = wrench(vehicle, tuple(f))
         expected = numpy_effects(vehicle.rotor) @ f
         np.testing.assert_allclose([*found.across, found.thrust, *found.moment], expected, rtol=1e-13, atol=1e-13)
-        np.testing.assert_allclose(effects(vehicle), numpy_effects(vehicle.rotor), rtol=1e-13, atol=1e-15)
+        np.testing.assert_allclose(wrench_matrix(vehicle), numpy_effects(vehicle.rotor), rtol=1e-13, atol=1e-15)
 
 
 def test_drag_and_gyroscopic_torque_are_those_of_numpy():

@@ -98,9 +98,9 @@ class NativeController:
     Args:
         name: The prefix of its functions.
         sample_time: The sample time of its code [s].
-        real: Bytes of a number, 4 or 8.
+        number_size: Bytes of a number, 4 or 8.
         size: Bytes of the controller, with which the exchange begins.
-        exchange: Bytes of the exchange.
+        exchange_size: Bytes of the exchange.
         signals: Places of y, y', y_m, y_m', y_m''.
         commands: Places of u and u_n.
         total: Place of u_p, their sum, which flies.
@@ -117,9 +117,9 @@ class NativeController:
 
     name: str
     sample_time: float
-    real: int
+    number_size: int
     size: int
-    exchange: int
+    exchange_size: int
     signals: tuple[int, ...]
     commands: tuple[int, ...]
     total: int
@@ -131,6 +131,11 @@ class NativeController:
     reset: int
     step: int
     step_without_telemetry: int | None
+
+    @property
+    def dtype(self) -> np.dtype:
+        """The dtype of its numbers: float32 or float64."""
+        return np.dtype(f"f{self.number_size}")
 
     @property
     def inputs(self) -> tuple[int, ...]:
@@ -174,9 +179,9 @@ def described_controller(row: ControllerRow) -> NativeController:
     controller = NativeController(
         name=name,
         sample_time=row.sample_time,
-        real=row.real,
+        number_size=row.real,
         size=row.controller,
-        exchange=row.exchange,
+        exchange_size=row.exchange,
         signals=tuple(row.signals),
         commands=tuple(row.commands),
         total=row.total,
@@ -210,14 +215,14 @@ def require_consistent(controller: NativeController, row: ControllerRow) -> None
     places += [number.offset for number in (*controller.parameters, *controller.telemetry)]
     rules = {
         "the sample time must be positive": controller.sample_time > 0.0,
-        "numbers must be float or double": controller.real in (4, 8),
-        f"at most {MOST_BYTES} bytes": 0 < controller.size <= controller.exchange <= MOST_BYTES,
-        "all numbers of its tables must have one type": all(part.size == controller.real for part in rows),
+        "numbers must be float or double": controller.number_size in (4, 8),
+        f"at most {MOST_BYTES} bytes": 0 < controller.size <= controller.exchange_size <= MOST_BYTES,
+        "all numbers of its tables must have one type": all(part.size == controller.number_size for part in rows),
         "places must be whole words within the exchange": all(
-            place % 4 == 0 and place <= controller.exchange - 4 for place in places
+            place % 4 == 0 and place <= controller.exchange_size - 4 for place in places
         ),
         "parameters lie in the controller": all(
-            number.offset <= controller.size - controller.real for number in controller.parameters
+            number.offset <= controller.size - controller.number_size for number in controller.parameters
         ),
         "a function is missing": all((controller.init, controller.reset, controller.step)),
     }
@@ -237,7 +242,7 @@ def require_measured(controller: NativeController, row: ControllerRow) -> None:
         ConfigError: The measurement has another number of members.
     """
     expected_count = MEASUREMENT + len(controller.measured)
-    member_count = row.measurement / controller.real
+    member_count = row.measurement / controller.number_size
     if member_count != expected_count:
         names = ", ".join(["y", "y_dot", *(number.name for number in controller.measured)])
         rule = (

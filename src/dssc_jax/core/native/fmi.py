@@ -210,11 +210,11 @@ class Fmi3Calls(FmiCalls):
         modules = fmpy()
         self._slave = slave_of(modules.fmi3.FMU3Slave, folder, description)
         functions = self._slave.dll
-        self._token = (description.guid or "").encode()  # guid is FMPy's name of the instantiation token
+        self._instantiation_token = (description.guid or "").encode()  # guid is FMPy's name of the instantiation token
         self._resources = f"{folder / 'resources'}/".encode()
         self._logger = modules.fmi3.fmi3LogMessageCallback(self.note)
-        self._update = modules.fmi3.fmi3IntermediateUpdateCallback()
-        self._none = (modules.fmi3.fmi3ValueReference * 0)()
+        self._intermediate_update = modules.fmi3.fmi3IntermediateUpdateCallback()
+        self._no_references = (modules.fmi3.fmi3ValueReference * 0)()
         self._environment = modules.fmi3.fmi3InstanceEnvironment()
         set_reals = status_function(functions, "fmi3SetFloat64", ADDRESS, ADDRESS, SIZE, ADDRESS, SIZE)
         get_reals = status_function(functions, "fmi3GetFloat64", ADDRESS, ADDRESS, SIZE, ADDRESS, SIZE)
@@ -230,14 +230,14 @@ class Fmi3Calls(FmiCalls):
         options = (False, False, False, False)  # visible, logging, event mode, early return
         instance = self._slave.fmi3InstantiateCoSimulation(
             name.encode(),
-            self._token,
+            self._instantiation_token,
             self._resources,
             *options,
-            self._none,
-            len(self._none),
+            self._no_references,
+            len(self._no_references),
             self._environment,
             self._logger,
-            self._update,
+            self._intermediate_update,
         )
         if not instance:
             raise FmiError("fmi3InstantiateCoSimulation gives no instance")

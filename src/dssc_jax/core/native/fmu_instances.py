@@ -43,6 +43,8 @@ HEAD = 16
 NUMBER = 8  # bytes of a float64
 WORD = np.dtype(np.uint32)
 REAL = np.dtype(np.float64)
+WORD_PLACES = (MemoryPlace(WORD, 0), MemoryPlace(WORD, 4))
+"""Places of an instance's words in the memory of a call."""
 
 Words = tuple[jax.Array, jax.Array]
 """State of an instance in a lane: its handle and the number of steps made."""
@@ -134,7 +136,7 @@ class Instances:
         with self._lock:
             self._free_finished()
             try:
-                instance = Instance(self._new_address(memory + HEAD), steps)
+                instance = Instance(self._start_instance(memory + HEAD), steps)
                 handle = self._register(instance)
                 self._read(instance.address, outputs)
             except FmiError:
@@ -170,18 +172,8 @@ class Instances:
             memory: Address of the call's memory, which also holds the inputs.
             outputs: Address to which the outputs are written.
         """
-        instance = self._running.get(handle)
+        instance = self._instance_before(handle, step_count)
         if instance is None:
-            if handle in self._dropped:
-                note_fault(self.ports, f"has more than {MOST_INSTANCES} draws at once; run fewer in a batch")
-            return False
-        if step_count != instance.step_count:
-            # the last sample of a draw that has ended is computed again, but its results are not read
-            if step_count != instance.step_count - 1:
-                note_fault(
-                    self.ports,
-                    f"was asked for step {step_count} after {instance.step_count}; steps must be made in order",
-                )
             return False
         calls = self.calls
         try:
@@ -201,7 +193,26 @@ class Instances:
             self._finished.append(handle)
         return True
 
-    def _new_address(self, parameters: int) -> int:
+    def _instance_before(self, handle: int, step_count: int) -> Instance | None:
+        """The instance of a handle if it has made as many steps as the lane; else None, with a note of a fault.
+
+        The last sample of a draw that has ended is computed again. This is no fault, since its results are not read.
+        """
+        instance = self._running.get(handle)
+        if instance is None:
+            if handle in self._dropped:
+                note_fault(self.ports, f"has more than {MOST_INSTANCES} draws at once; run fewer in a batch")
+            return None
+        if step_count == instance.step_count:
+            return instance
+        if step_count != instance.step_count - 1:
+            note_fault(
+                self.ports,
+                f"was asked for step {step_count} after {instance.step_count}; steps must be made in order",
+            )
+        return None
+
+    def _start_instance(self, parameters: int) -> int:
         """Make an instance, set its parameters and start it at t = 0; return its address.
 
         Args:
@@ -289,10 +300,9 @@ class FmuFunctions:
     def __init__(self, ports: FmuPorts) -> None:
         """Register both functions, so that lanes can call them."""
         self.ports = ports
-        outputs = len(ports.outputs)
-        # operands before the numbers: two words to start, two words and the length of the step to step
-        self._start = foreign_function(ports, "start", 2, len(ports.parameters), outputs)
-        self._step = foreign_function(ports, "step", 3, len(ports.inputs), outputs)
+        step_head = (*WORD_PLACES, MemoryPlace(REAL, 8))  # the words and the length of the step
+        self._start = foreign_function(ports, "start", WORD_PLACES, len(ports.parameters))
+        self._step = foreign_function(ports, "step", step_head, len(ports.inputs))
 
     def start(self, lane: Scalar, steps: int, parameters: Sequence[Scalar]) -> tuple[Words, list[jax.Array]]:
         """Start an instance; return its words, handle and step count, and its outputs at t = 0.
@@ -323,27 +333,25 @@ class FmuFunctions:
         return (handle, step_count), outputs
 
 
-def foreign_function(ports: FmuPorts, name: str, head: int, numbers: int, outputs: int) -> ForeignFunction:
+def foreign_function(ports: FmuPorts, name: str, head_places: tuple[MemoryPlace, ...], numbers: int) -> ForeignFunction:
     """A function of an FMU's instances that lanes can call.
 
-    Its memory holds the two words, the length of a step, the numbers and the outputs.
+    Its memory holds the head of :data:`HEAD` bytes, the numbers and the outputs.
 
     Args:
         ports: The FMU and its connected variables.
         name: ``start`` or ``step``.
-        head: How many of words and length are operands: 2 or 3.
+        head_places: Places of the operands in the head.
         numbers: Number of parameters or inputs.
-        outputs: Number of outputs.
     """
+    outputs = len(ports.outputs)
     symbol = ports.symbol(name)
     if symbol not in foreign.ADDRESSES:
         foreign.provide(symbol, ctypes.cast(instances_of(ports).functions[name], ctypes.c_void_p).value or 0)
-    word_places = (MemoryPlace(WORD, 0), MemoryPlace(WORD, 4))
-    head_places = (*word_places, MemoryPlace(REAL, 8))[:head]
     number_places = tuple(MemoryPlace(REAL, HEAD + NUMBER * i) for i in range(numbers))
     output_places = tuple(MemoryPlace(REAL, HEAD + NUMBER * (numbers + i)) for i in range(outputs))
     size = HEAD + NUMBER * (numbers + outputs)
-    return ForeignFunction(symbol, size, (*head_places, *number_places), (*word_places, *output_places))
+    return ForeignFunction(symbol, size, (*head_places, *number_places), (*WORD_PLACES, *output_places))
 
 
 @cache

@@ -88,7 +88,7 @@ def provide_function(library: NativeLibrary, controller: NativeController, funct
 
 def initial_memory(controller: NativeController) -> np.ndarray:
     """The memory of a controller's calls after ``init``, an array of bytes, shape (exchange,)."""
-    memory = np.zeros(controller.exchange, np.uint8)
+    memory = np.zeros(controller.exchange_size, np.uint8)
     CALL(controller.init)(memory.ctypes.data)
     return memory
 
@@ -96,10 +96,10 @@ def initial_memory(controller: NativeController) -> np.ndarray:
 def default_values(controller: NativeController) -> dict[str, float]:
     """The defaults of the parameters, which ``init`` sets, by name."""
     memory = initial_memory(controller)
-    real = np.dtype(f"f{controller.real}")  # f4 or f8
+    real = controller.dtype
     values: dict[str, float] = {}
     for number in controller.parameters:
-        content = memory[number.offset : number.offset + controller.real]
+        content = memory[number.offset : number.offset + controller.number_size]
         values[number.name] = float(content.view(real).item())
     return values
 
@@ -165,11 +165,11 @@ def memory_with(controller: NativeController, values: dict[str, float]) -> np.nd
         values: Values of these parameters by name.
     """
     memory = initial_memory(controller)
-    real = np.dtype(f"f{controller.real}")
+    real = controller.dtype
     for number in controller.parameters:
         if number.name in values:
             content = np.array([values[number.name]], real).view(np.uint8)
-            memory[number.offset : number.offset + controller.real] = content
+            memory[number.offset : number.offset + controller.number_size] = content
     return memory
 
 
@@ -183,7 +183,7 @@ def require_parameters_kept(controller: NativeController) -> None:
     before = memory.copy()
     flown_with(controller, {0: memory})
     for number in controller.parameters:
-        place = slice(number.offset, number.offset + controller.real)
+        place = slice(number.offset, number.offset + controller.number_size)
         if not np.array_equal(before[place], memory[place]):
             rule = (
                 f"changes its parameter {number.name} in reset or step, so that it would fly other numbers than those "
@@ -228,7 +228,7 @@ def flown_with(
     for memory in memories.values():
         reset(memory.ctypes.data)
     commands = {flight: bytearray() for flight in memories}
-    real = np.dtype(f"f{controller.real}")
+    real = controller.dtype
     for k in range(TRIED_SAMPLES):
         for flight, memory in memories.items():
             angles = np.arange(1.0, 1.0 + len(controller.inputs)) * (0.1 * k + flight + 1.0)
@@ -283,7 +283,7 @@ def require_same_without_telemetry(controller: NativeController) -> None:
 def trial_commands(controller: NativeController) -> np.ndarray:
     """u, u_n and u_p of every sample of a trial flight with default parameters, shape (samples, 3)."""
     (bits,) = flown_commands(controller, [0])
-    return np.frombuffer(bits, f"f{controller.real}").reshape(TRIED_SAMPLES, -1).astype(float)
+    return np.frombuffer(bits, controller.dtype).reshape(TRIED_SAMPLES, -1).astype(float)
 
 
 def samples_not_finite(controller: NativeController) -> int:

@@ -30,8 +30,9 @@ def sample(
     """
     if is_zero(params.probability):
         return (command,)
-    (chance,) = uniforms(key, 1)
-    return (jnp.where(chance >= params.probability, command, state[0]),)
+    (number,) = uniforms(key, 1)
+    is_received = number >= params.probability
+    return (jnp.where(is_received, command, state[0]),)
 
 
 def smoothness(params: LostCommandParams) -> Smoothness:

@@ -58,7 +58,7 @@ from dssc_jax.models.controllers.state_functions import StateFunctions
 class DsscInfo(NamedTuple):
     """What DSSC reports at each sample, for metrics and plots.
 
-    ``sliding_margin`` is rho - |u_eq| [m/s], where the equivalent control u_eq = d_0/k_o of (20) is the u_0 that keeps
+    ``sliding_margin`` is rho - |u_eq| [u], where the equivalent control u_eq = d_0/k_o of (20) is the u_0 that keeps
     sigma_tilde at 0. The sliding condition rho > |d_0|/k_o holds if the margin is not negative. In the implicit and
     the conservative form u_eq brings sigma_tilde to 0 within the sample. The explicit form never reaches 0; there u_eq
     is (20) with the difference of the last two sigma.

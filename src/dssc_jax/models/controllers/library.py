@@ -74,11 +74,11 @@ class MemoryLayout(NamedTuple):
 
 def memory_layout(controller: NativeController) -> MemoryLayout:
     """Find the places of a controller's numbers, from the offsets in its description."""
-    real = np.dtype(f"f{controller.real}")
-    word = np.dtype(f"u{controller.real}")
+    real = controller.dtype
+    word = np.dtype(f"u{controller.number_size}")
     parameter_offsets = [number.offset for number in controller.parameters]
     words = []
-    for offset in range(0, controller.size, controller.real):
+    for offset in range(0, controller.size, controller.number_size):
         if offset not in parameter_offsets:
             words.append(MemoryPlace(word, offset))
     return MemoryLayout(
@@ -93,7 +93,7 @@ def memory_layout(controller: NativeController) -> MemoryLayout:
 
 def words_after_init(controller: NativeController, layout: MemoryLayout) -> list[Scalar]:
     """The state that the library's ``init`` leaves, word by word."""
-    padding = np.zeros(controller.real, np.uint8)  # the last word may end after the exchange
+    padding = np.zeros(controller.number_size, np.uint8)  # the last word may end after the exchange
     memory = np.append(initial_memory(controller), padding)
     words = []
     for word, start in layout.words:
@@ -118,7 +118,7 @@ class NativeCalls:
         self.library = library
         self.controller = controller
         layout = memory_layout(controller)
-        self.begin = words_after_init(controller, layout)
+        self.initial_words = words_after_init(controller, layout)
         self.reset = self.foreign_function("reset", controller.reset, layout.parameters + layout.words, layout.words)
         operands = layout.parameters + layout.words + layout.signals
         outputs = (*layout.words, *layout.commands, layout.flag)
@@ -132,9 +132,9 @@ class NativeCalls:
     def foreign_function(
         self, name: str, address: int, operands: tuple[MemoryPlace, ...], results: tuple[MemoryPlace, ...]
     ) -> ForeignFunction:
-        """Make one function of the library known to lanes; ``address`` is its code's."""
+        """Make one function of the library, whose code is at an address, known to lanes."""
         symbol = provide_function(self.library, self.controller, name, address)
-        size = self.controller.exchange + self.controller.real  # the last word may end after the exchange
+        size = self.controller.exchange_size + self.controller.number_size  # the last word may end after the exchange
         return ForeignFunction(symbol, size, operands, results)
 
     def parameter_values(self, gains: Params) -> list[Scalar]:
@@ -147,7 +147,7 @@ class NativeCalls:
         Raises:
             ConfigError: The loop's precision lacks the type of the library's numbers.
         """
-        bits = 8 * self.controller.real
+        bits = 8 * self.controller.number_size
         if bits > 8 * jnp.result_type(float).itemsize:
             raise ConfigError("loop.precision", f"must be {bits}, the precision of {self.label}")
         return call_foreign(function, *operands)
@@ -174,14 +174,14 @@ class NativeCalls:
 
 @cache
 def controller_of(library: NativeLibrary, name: str) -> Controller:
-    """The model of the controller with this name in a library, which has one."""
+    """The model of a library's controller, by the controller's name; the library must have it."""
     controller = next(candidate for candidate in library.controllers if candidate.name == name)
     calls = NativeCalls(library, controller)
     info = info_type(controller)
 
     def init(gains: Params, measurement: Measurement, reference: ReferencePoint) -> Words:
         """The state after ``init`` and ``reset`` with the draw's parameters."""
-        return tuple(calls.call(calls.reset, *calls.parameter_values(gains), *calls.begin))
+        return tuple(calls.call(calls.reset, *calls.parameter_values(gains), *calls.initial_words))
 
     def step(
         gains: Params, state: Words, measurement: Measurement, reference: ReferencePoint, dt: Scalar

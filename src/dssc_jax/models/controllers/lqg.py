@@ -181,12 +181,12 @@ def correction_matrix(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) ->
         ConfigError: There are too many or too few numbers, or the measured signals do not show a mode of A.
     """
     count = plant.disturbances.shape[1]
-    missing = (0.0,) * (count - len(gains.disturbance_std))  # the named inputs that are left out
-    disturbance_std = np.array(numbers_or_zeros("disturbance_std", (*gains.disturbance_std, *missing), count))
+    quiet_inputs = (0.0,) * (count - len(gains.disturbance_std))  # the named inputs that are left out
+    disturbance_std = np.array(numbers_or_zeros("disturbance_std", (*gains.disturbance_std, *quiet_inputs), count))
     state_variance = np.diag(np.square(numbers_or_zeros("state_std", gains.state_std, len(plant.a))))
-    w = plant.disturbances @ np.diag(disturbance_std**2) @ plant.disturbances.T + state_variance  # of the state's noise
-    v = np.diag(np.square(numbers_or_zeros("signal_std", gains.signal_std, len(rows))))
-    return filter_gain(plant.a, rows, w, v)
+    process_covariance = plant.disturbances @ np.diag(disturbance_std**2) @ plant.disturbances.T + state_variance
+    measurement_covariance = np.diag(np.square(numbers_or_zeros("signal_std", gains.signal_std, len(rows))))
+    return filter_gain(plant.a, rows, process_covariance, measurement_covariance)
 
 
 def numbers_or_zeros(name: str, values: Row, count: int) -> tuple[float, ...]:

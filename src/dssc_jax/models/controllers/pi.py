@@ -27,13 +27,13 @@ class PiGains(NamedTuple):
 
 
 class PiState(NamedTuple):
-    """The integral of sigma since the start [m]."""
+    """The integral of sigma since the start [y]."""
 
     integral: Scalar
 
 
 class PiInfo(NamedTuple):
-    """The integral part -K_I int sigma dt of the command [m/s]."""
+    """The integral part -K_I int sigma dt of the command [u]."""
 
     integral: Annotated[Scalar, Quantity("u", "integral term of u")]
 

@@ -28,7 +28,7 @@ class SmcGains(NamedTuple):
 
 
 class SmcInfo(NamedTuple):
-    """The margin K - |u_eq| [m/s] of the sliding condition, which holds if the margin is not negative.
+    """The margin K - |u_eq| [u] of the sliding condition, which holds if the margin is not negative.
 
     The equivalent control u_eq brings sigma to 0 within one sample.
     """

@@ -54,13 +54,13 @@ class StaGains(NamedTuple):
 
 
 class IntegralState(NamedTuple):
-    """The integral term v, in units of w = k_n u [m/s^2]."""
+    """The integral term v, in units of w = k_n u [y/s^2]."""
 
     v: Scalar
 
 
 class IntegralInfo(NamedTuple):
-    """The integral part of the command [m/s]."""
+    """The integral part of the command [u]."""
 
     integral: Annotated[Scalar, Quantity("u", "integral term of u")]
 

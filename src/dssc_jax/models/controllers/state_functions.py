@@ -11,7 +11,7 @@ from dssc_jax.core.numerics import log_defect
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar, State
 
-ROOT_FLOOR = 1e-9  # [(m/s)^(1/2)]: the standard STA's k_o tau_av and tau_m vanish at sigma = 0
+ROOT_FLOOR = 1e-9  # [(y/s)^(1/2)]: the standard STA's k_o tau_av and tau_m vanish at sigma = 0
 
 KAPPA_1 = Quantity("u (y/s)^(-1/2)", "proportional gain kappa_1 in Table 2's normalisation", above=0.0)
 KAPPA_2 = Quantity("u/s", "integral gain kappa_2 in Table 2's normalisation: sgn times kappa_2/2", above=0.0)
@@ -36,7 +36,7 @@ class IntegratedLaw(NamedTuple):
     [0, sigma] at constant e, and phi_2 = u_av' - phi_1', the rest.
 
     Args:
-        gain: phi_1/sigma, the mean of g over [0, sigma]; no unit.
+        gain: phi_1/sigma, the mean of g over [0, sigma] [u s/y].
         rate: phi_2/phi_1 [1/s].
     """
 

@@ -170,7 +170,9 @@ def vgsta_of_dssc(gains: DsscGains) -> dict[str, float]:
         twisting = super_twisting(gains.functions)
         numbers = dict.fromkeys(TABLE_1_EXAMPLE, 0.0)
         numbers |= {"phi_a": 1.0, "kappa_d": twisting.kappa1, "gamma": twisting.kappa2, "delta": twisting.delta}
-    return {name: float(value) for name, value in numbers.items()} | {"k_n": nominal_input_gain(gains)}
+    table = {name: float(value) for name, value in numbers.items()}
+    table["k_n"] = nominal_input_gain(gains)
+    return table
 
 
 def vgsta(update: Update, inverse_update: Carried) -> Controller:

@@ -31,7 +31,7 @@ class HighGainParams(NamedTuple):
 
 
 class HighGainState(NamedTuple):
-    """The observer's estimates x1 of y [m] and x2 of y' [m/s]."""
+    """The observer's estimates x1 of y [y] and x2 of y' [y/s]."""
 
     x1: Scalar
     x2: Scalar

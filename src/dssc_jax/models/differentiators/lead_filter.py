@@ -19,7 +19,7 @@ class LeadFilterParams(NamedTuple):
 
 
 class LeadFilterState(NamedTuple):
-    """The last sample of y [m], and the filter's output ``velocity`` v, the estimate of y' [m/s]."""
+    """The last sample of y [y], and the filter's output ``velocity`` v, the estimate of y' [y/s]."""
 
     y: Scalar
     velocity: Scalar

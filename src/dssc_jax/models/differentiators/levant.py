@@ -36,7 +36,7 @@ class LevantParams(NamedTuple):
 
 
 class LevantState(NamedTuple):
-    """The differentiator's estimates z0 of y [m] and z1 of y' [m/s]."""
+    """The differentiator's estimates z0 of y [y] and z1 of y' [y/s]."""
 
     z0: Scalar
     z1: Scalar

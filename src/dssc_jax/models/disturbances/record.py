@@ -50,19 +50,19 @@ def recorded_disturbance(rule: Interpolation) -> Disturbance:
 
     if rule == Interpolation.HOLD:
         return Disturbance(
-            RecordedDisturbanceParams,
-            lambda record, key: 0.0,
-            record_mean,
-            lambda record, state, measurement, sigma, t: state,
-            lambda params: held_record(prepare(params)),
+            params=RecordedDisturbanceParams,
+            init=lambda record, key: 0.0,
+            step=record_mean,
+            value=lambda record, state, measurement, sigma, t: state,
+            prepare=lambda params: held_record(prepare(params)),
             smooth=SMOOTH,
         )
     return Disturbance(
-        RecordedDisturbanceParams,
-        stateless,
-        unchanged,
-        lambda pieces, state, measurement, sigma, t: piece_at(pieces, t).y,
-        prepare,
+        params=RecordedDisturbanceParams,
+        init=stateless,
+        step=unchanged,
+        value=lambda pieces, state, measurement, sigma, t: piece_at(pieces, t).y,
+        prepare=prepare,
         smooth=SMOOTH,
     )
 

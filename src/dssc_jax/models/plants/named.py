@@ -58,13 +58,15 @@ def output_report(outputs: Outputs, inputs: Inputs, x: tuple[Scalar, ...], drive
     input_names = [name for name, _ in by_names(inputs)]
     disturbances = dict(zip(input_names, drive.inputs, strict=False))  # drive.inputs may be (): no disturbances
     command = drive.command + drive.disturbance if is_matched else drive.command
+    names = []
     values = []
-    for _, row in by_names(outputs):
+    for output_name, row in by_names(outputs):
         value = dot((*row.c, row.d), (*x, command))
         for name, feedthrough in by_names(row.inputs):
             value = value + feedthrough * disturbances.get(name, 0.0)
+        names.append(output_name)
         values.append(value)
-    report = report_type(tuple(name for name, _ in by_names(outputs)))
+    report = report_type(tuple(names))
     return report(*values)
 
 

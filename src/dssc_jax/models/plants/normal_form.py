@@ -26,7 +26,7 @@ class NormalFormParams(NamedTuple):
 
 
 class NormalFormState(NamedTuple):
-    """Position x1 = y [m], velocity x2 [m/s] and the zero dynamics' state eta."""
+    """Output x1 = y [y], its rate x2 [y/s] and the zero dynamics' state eta."""
 
     x1: Scalar
     x2: Scalar

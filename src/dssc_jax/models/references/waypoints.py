@@ -22,6 +22,14 @@ from dssc_jax.core.contracts import Reference
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ReferencePoint, Scalar
+from dssc_jax.models.references.waypoint_paths import (
+    check_turns,
+    nearest_waypoint,
+    nonzero_path_speed,
+    parameters_at_length,
+    path_derivatives,
+    path_grid,
+)
 
 SEMI_MAJOR_AXIS = 6378137.0  # a [m] of WGS 84 (TR8350.2, table 3.1)
 FLATTENING = 1.0 / 298.257223563  # f of WGS 84 (TR8350.2, table 3.1)
@@ -32,10 +40,7 @@ SAME = 0.01  # consecutive waypoints nearer than this [m] are the same (assumed;
 SEGMENT_TIME = 0.02  # duration of a segment of the table [s]
 FEWEST_SEGMENTS = 256
 MOST_SEGMENTS = 65536
-LEG_PARTS = 128  # parts of a leg, on which its length and curvature are taken
 RAMP = 1.875  # peak slope of 10 x^3 - 15 x^4 + 6 x^5 on [0, 1]
-GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)  # on [-1, 1]
-SHARPEST_TURN = 0.5  # cosine of the largest turn of the path between two of its checked points: 60 degrees
 STEPS_OF_A_RAMP = 8.0  # fewest segments of the table on which the speed may rise
 
 LATITUDE = Quantity("deg", "WGS 84 latitude", at_least=-90.0, at_most=90.0, law=False)
@@ -161,52 +166,27 @@ def path_through(params: WaypointParams) -> CubicSpline:
     return CubicSpline(chord, np.column_stack([points, yaw]), bc_type="natural")
 
 
-def path_speed(path: CubicSpline, u: np.ndarray) -> np.ndarray:
-    """|dr/du|, the length of the path per unit of its parameter u, at each u, any shape."""
-    slope = path(u, 1)  # first derivative of x, y, z and psi
-    return np.linalg.norm(slope[..., :3], axis=-1)
-
-
-def path_length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Length of the path between pairs of near parameters, by Gauss's rule of five points [m].
-
-    Args:
-        path: The path.
-        start: First parameter of each interval, shape (n,).
-        end: Last parameter of each interval, shape (n,).
-    """
-    half = 0.5 * (end - start)
-    parameters = start[:, None] + np.outer(half, 1.0 + GAUSS_NODES)
-    return half * (path_speed(path, parameters) @ GAUSS_WEIGHTS)
-
-
-def check_flyable(params: WaypointParams, path: CubicSpline, u: np.ndarray, total: float) -> None:
-    """Require a path that is long and smooth enough to be flown at the speed, and does not turn back on itself.
+def check_speed(params: WaypointParams, path: CubicSpline, u: np.ndarray, total: float) -> None:
+    """Require a cruise speed for which the path is long and straight enough.
 
     Args:
         params: Speed and acceleration.
         path: The path.
-        u: Parameters at which the path is checked, rising.
+        u: Parameters at which the curvature is taken, rising.
         total: Length of the path [m].
 
     Raises:
-        ConfigError: It turns back on itself, or the speed is too high for its length or its turns.
+        ConfigError: The speed is too high for the path's length or for its turns.
     """
     slope = path(u, 1)[:, :3]
     bend = path(u, 2)[:, :3]
-    size = np.maximum(np.linalg.norm(slope, axis=1), np.finfo(float).tiny)
-    turn = np.sum(slope[1:] * slope[:-1], axis=1) / size[1:] / size[:-1]  # cosine, from one u to the next
-    if turn.min() < SHARPEST_TURN:
-        i = np.abs(path.x - u[turn.argmin()]).argmin()  # nearest waypoint
-        rule = f"the path turns back on itself at waypoint {i}, which no speed allows; put waypoints around the turn"
-        raise ConfigError(f"latitude_deg.{i}", rule)
-    curvature = np.linalg.norm(np.cross(slope, bend), axis=1) / size**3
+    curvature = np.linalg.norm(np.cross(slope, bend), axis=1) / nonzero_path_speed(path, u) ** 3
     peak = curvature.argmax()
     by_length = math.sqrt(total * params.acceleration / RAMP)  # highest speed that the path has room to reach and leave
     by_turn = math.sqrt(LATERAL_LIMIT / max(curvature[peak], 1e-12))  # highest speed in the sharpest turn
     if params.speed > by_turn:
         acceleration = params.speed**2 * curvature[peak] / STANDARD_GRAVITY
-        waypoint = np.abs(path.x - u[peak]).argmin()
+        waypoint = nearest_waypoint(path, float(u[peak]))
         rule = f"{acceleration:.3g} g across the path near waypoint {waypoint} (from 0), limit 0.5 g"
     elif params.speed > by_length:
         rule = f"the path of {total:.3g} m is too short to reach it and stop at {params.acceleration:g} m/s^2"
@@ -264,24 +244,6 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
     return np.concatenate([np.concatenate([low, high], axis=-1), hold])
 
 
-def parameters_at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distances: np.ndarray) -> np.ndarray:
-    """The parameters at which the path has reached some lengths, by Newton's method, shape (m,).
-
-    Args:
-        path: The path.
-        u: Parameters of a grid, rising, shape (n,).
-        s: Length of the path up to each of them [m], shape (n,).
-        distances: The lengths [m], shape (m,).
-    """
-    # k: the interval of the grid in which each length lies
-    k = np.clip(np.searchsorted(s, distances, side="right") - 1, 0, len(u) - 2)
-    parameters = u[k] + (distances - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
-    for _ in range(4):
-        remaining_length = distances - s[k] - path_length(path, u[k], parameters)
-        parameters = np.clip(parameters + remaining_length / path_speed(path, parameters), u[k], u[k + 1])
-    return parameters
-
-
 def slowed_step(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
     """The time between two nodes with which the motion keeps the bounds of speed and acceleration between them, too.
 
@@ -320,7 +282,8 @@ def curve(params: WaypointParams) -> Curve:
     cruise = float(params.speed)
     grid, lengths = path_grid(path)
     total = lengths[-1]
-    check_flyable(params, path, grid, total)
+    check_turns(path, grid)
+    check_speed(params, path, grid, total)
     ramp = RAMP * cruise / float(params.acceleration)
     flight = total / cruise
     count = int(np.clip(math.ceil((flight + ramp) / SEGMENT_TIME), FEWEST_SEGMENTS, MOST_SEGMENTS))
@@ -331,36 +294,6 @@ def curve(params: WaypointParams) -> Curve:
     y_dot, y_ddot = path_derivatives(path, u, speed, acceleration)
     coefficients = quintics(path(u), y_dot, y_ddot, duration / count)
     return Curve(slowed_step(duration / count, coefficients, params), coefficients)
-
-
-def path_grid(path: CubicSpline) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters of the path, ``LEG_PARTS`` to a leg, and the length of the path up to each [m], shape (n,) each."""
-    waypoints = len(path.x)
-    legs = np.arange(LEG_PARTS * (waypoints - 1) + 1) / LEG_PARTS  # 0 at the first waypoint, 1 at the second, ..
-    grid = np.interp(legs, np.arange(waypoints), path.x)
-    lengths = np.concatenate([[0.0], np.cumsum(path_length(path, grid[:-1], grid[1:]))])
-    return grid, lengths
-
-
-def path_derivatives(
-    path: CubicSpline, u: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """First and second time derivatives of position and yaw on the path, shape (n, 4) each.
-
-    They follow by the chain rule, r' = r_u u' and r'' = r_uu u'^2 + r_u u'', from the parameter u(t).
-
-    Args:
-        path: The path.
-        u: Parameters of the path, shape (n,).
-        speed: Speed along the path at each of them [m/s], shape (n,).
-        acceleration: Rate of change of the speed [m/s^2], shape (n,).
-    """
-    size = path_speed(path, u)
-    slope = path(u, 1)
-    bend = path(u, 2)
-    u_dot = speed / size
-    u_ddot = (acceleration - np.sum(slope[:, :3] * bend[:, :3], axis=1) / size * u_dot**2) / size
-    return slope * u_dot[:, None], bend * u_dot[:, None] ** 2 + slope * u_ddot[:, None]
 
 
 def at(curve: Curve, t: Scalar) -> tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]:

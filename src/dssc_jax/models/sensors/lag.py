@@ -36,12 +36,13 @@ def lag_step(
 
     So a mu far below T_s shows y itself, and not the y of the sample before.
     """
-    steps = dt / params.mu
-    share = -jnp.expm1(-steps)  # 1 - exp(-dt/mu)
+    relative_time = dt / params.mu
+    step_response = -jnp.expm1(-relative_time)  # 1 - exp(-dt/mu)
 
-    def filtered_value(true: Scalar, previous: Scalar, shown: Scalar) -> Scalar:
+    def filtered_value(value: Scalar, previous: Scalar, shown: Scalar) -> Scalar:
         """The reading of a true value, from the true value and the reading at the sample before."""
-        return true - (true - previous) * share / steps + (shown - previous) * (1.0 - share)
+        ramp_lag = (value - previous) * step_response / relative_time
+        return value - ramp_lag + (shown - previous) * (1.0 - step_response)
 
     true = state.true
     shown = state.shown

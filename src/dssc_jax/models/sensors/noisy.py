@@ -109,15 +109,15 @@ def aged_reading(present: Measurement, previous: Measurement, age: Scalar, dt: S
         age: Age in [0, dt] [s].
         dt: Length of a sample [s].
     """
-    # y = previous.y + first s + second s^2 + third s^3, with s from 0 at the sample before to 1 at the present one
+    # y = previous.y + linear s + quadratic s^2 + cubic s^3, with s from 0 at the sample before to 1 at the present one
     s = 1.0 - age / dt
     rise = present.y - previous.y
-    first = dt * previous.y_dot
-    increment = dt * present.y_dot
-    second = 3.0 * rise - 2.0 * first - increment
-    third = first + increment - 2.0 * rise
-    y = previous.y + s * (first + s * (second + s * third))
-    return Measurement(y, (first + s * (2.0 * second + 3.0 * s * third)) / dt)
+    linear = dt * previous.y_dot  # dy/ds at s = 0
+    end_slope = dt * present.y_dot  # dy/ds at s = 1
+    quadratic = 3.0 * rise - 2.0 * linear - end_slope
+    cubic = linear + end_slope - 2.0 * rise
+    y = previous.y + s * (linear + s * (quadratic + s * cubic))
+    return Measurement(y, (linear + s * (2.0 * quadratic + 3.0 * s * cubic)) / dt)
 
 
 def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) -> NoisyState:
@@ -140,26 +140,28 @@ def noisy_step(
     A new reading is taken at a sample if one is due there and is not lost; else the last reading stays.
     """
     is_due = state.age > sample_count("period_samples", params.period_samples) - 0.5  # age is a whole number
-    true = measurement  # that the new reading measures
+    measured = measurement  # what a new reading measures
     is_received = is_due
     if params.loss is not None or params.jitter is not None:
-        chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)  # of a loss, and of the largest age
+        loss_number, age_share = uniforms(jax.random.fold_in(key, EXTRA), 2)
         if params.jitter is not None:
-            (last_true,) = state.previous
-            true = aged_reading(measurement, last_true, params.jitter * share, dt)
+            (previous_measurement,) = state.previous
+            measured = aged_reading(measurement, previous_measurement, params.jitter * age_share, dt)
         if params.loss is not None and not is_zero(params.loss):
-            is_received = is_due & (chance >= params.loss)
-    fresh = reading(params, true, key)
-    y = jnp.where(is_received, fresh.y, state.held.y)
-    held_reading = Measurement(y, jnp.where(is_received, fresh.y_dot, state.held.y_dot))
-    delivered, *queue = (*state.queue, held_reading)
+            is_received = is_due & (loss_number >= params.loss)
+    new_reading = reading(params, measured, key)
+    held_reading = Measurement(
+        y=jnp.where(is_received, new_reading.y, state.held.y),
+        y_dot=jnp.where(is_received, new_reading.y_dot, state.held.y_dot),
+    )
+    readings = (*state.queue, held_reading)  # the oldest first
     next_state = NoisyState(
         age=jnp.where(is_due, 1.0, state.age + 1.0),
         held=held_reading,
-        queue=tuple(queue),
+        queue=readings[1:],
         previous=() if params.jitter is None else (measurement,),
     )
-    return next_state, delivered
+    return next_state, readings[0]
 
 
 def largest_value(number: Scalar | None) -> float:

@@ -35,11 +35,40 @@ def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speed
     if vehicle.rotor:
         propellers, torque = drag_of_rotors(vehicle, rate, in_body, speeds)
         return Drag(rotation @ (in_body.scale(structure) + propellers), torque)
-    # the moments of the speeds, each times -K_Fdi: sum w_i, sum w_i p_i, and the entries of sum w_i p_i p_i^T
+    moments = speed_moments(vehicle, speeds)
+    sxx, sxy, syy = moments.second
+    propeller = Vec3(moments.total, moments.total, moments.total)
+    force = in_body.scale(structure + propeller) + rate.cross(moments.first)
+    # sum w_i p_i x (Omega x p_i) = sum w_i (|p_i|^2 Omega - (p_i . Omega) p_i)
+    spin = Vec3(minor(syy, rate.x, sxy, rate.y), minor(sxx, rate.y, sxy, rate.x), (sxx + syy) * rate.z)
+    return Drag(rotation @ force, moments.first.cross(in_body) + spin)
+
+
+class SpeedMoments(NamedTuple):
+    """The moments of the rotor speeds w_i at the places p_i, each times -K_Fdi.
+
+    Args:
+        total: sum w_i [N s/m].
+        first: sum w_i p_i [N s].
+        second: Entries xx, xy and yy of sum w_i p_i p_i^T [N m s].
+    """
+
+    total: Scalar
+    first: Vec3
+    second: tuple[Scalar, Scalar, Scalar]
+
+
+def speed_moments(vehicle: Vehicle, speeds: tuple[Scalar, ...]) -> SpeedMoments:
+    """The moments of the rotor speeds of a vehicle whose rotors are on a circle.
+
+    Args:
+        vehicle: K_Fdi, the arm and the directions of the rotors.
+        speeds: |thetadot_i| of each rotor [rad/s].
+    """
     x, y = vehicle.directions()
     ones = (1.0,) * vehicle.rotors
     k = -vehicle.propeller_drag
-    pull = k * dot(ones, speeds)
+    total = k * dot(ones, speeds)
     lever = k * vehicle.arm
     first = Vec3(lever * dot(x, speeds), lever * dot(y, speeds), 0.0)
 
@@ -47,13 +76,7 @@ def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speed
         """The entry of the second moment for two directions of the rotors' places, on an arm of length 1."""
         return lever * vehicle.arm * dot([i * j for i, j in zip(a, b, strict=True)], speeds)
 
-    sxx = second_moment(x, x)
-    sxy = second_moment(x, y)
-    syy = second_moment(y, y)
-    force = in_body.scale(structure + Vec3(pull, pull, pull)) + rate.cross(first)
-    # sum w_i p_i x (Omega x p_i) = sum w_i (|p_i|^2 Omega - (p_i . Omega) p_i)
-    spin = Vec3(minor(syy, rate.x, sxy, rate.y), minor(sxx, rate.y, sxy, rate.x), (sxx + syy) * rate.z)
-    return Drag(rotation @ force, first.cross(in_body) + spin)
+    return SpeedMoments(total, first, (second_moment(x, x), second_moment(x, y), second_moment(y, y)))
 
 
 def drag_of_rotors(vehicle: Vehicle, rate: Vec3, in_body: Vec3, speeds: tuple[Scalar, ...]) -> tuple[Vec3, Vec3]:
@@ -72,7 +95,7 @@ def drag_of_rotors(vehicle: Vehicle, rate: Vec3, in_body: Vec3, speeds: tuple[Sc
     torque = Vec3(0.0, 0.0, 0.0)
     for rotor, speed in zip(vehicle.rotor, speeds, strict=True):
         place = Vec3(*rotor.position)
-        part = (in_body + rate.cross(place)) * (-vehicle.propeller_drag * speed)
-        force = force + part
-        torque = torque + place.cross(part)
+        rotor_drag = (in_body + rate.cross(place)) * (-vehicle.propeller_drag * speed)
+        force = force + rotor_drag
+        torque = torque + place.cross(rotor_drag)
     return force, torque

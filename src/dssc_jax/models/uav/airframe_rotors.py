@@ -184,8 +184,10 @@ def default_text(parameters: Mapping[str, float]) -> str:
 
 def are_ratios(rotors: list[PlacedRotor]) -> bool:
     """Whether the rotors' positions are ratios of a generic airframe, and not metres."""
-    values = [value for rotor in rotors for value in rotor.place[:2]]
-    return max(map(abs, values)) >= 0.99 and all(value in RATIOS for value in values)
+    coordinates: list[float] = []
+    for rotor in rotors:
+        coordinates += rotor.place[:2]
+    return max(map(abs, coordinates)) >= 0.99 and all(value in RATIOS for value in coordinates)
 
 
 def in_metres(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> list[PlacedRotor]:

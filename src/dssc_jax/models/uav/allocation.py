@@ -11,7 +11,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.authority import require_hover, require_independent_axes
 from dssc_jax.models.uav.desaturation import Desaturation, desaturated
-from dssc_jax.models.uav.rotors import effect_of
+from dssc_jax.models.uav.rotors import rotor_wrench
 from dssc_jax.models.uav.vehicle import Vehicle, check_vehicle
 
 NEGLIGIBLE_ENTRY = 1e-12  # relative to the largest entry of a column
@@ -32,13 +32,13 @@ def geometry(vehicle: Vehicle) -> np.ndarray:
     It is nominal: laws count with their medians.
     """
     if vehicle.rotor:
-        return effects(vehicle)[2:]  # without the two components of the force across body z
+        return wrench_matrix(vehicle)[2:]  # without the two components of the force across body z
     plain = vehicle._replace(arm=nominal(vehicle.arm), torque_coefficient=nominal(vehicle.torque_coefficient))
     x, y = plain.arm * np.array(plain.directions(), dtype=float)
     return np.stack([np.ones(vehicle.rotors), y, -x, np.asarray(plain.spins) * plain.torque_coefficient])
 
 
-def effects(vehicle: Vehicle) -> np.ndarray:
+def wrench_matrix(vehicle: Vehicle) -> np.ndarray:
     """The matrix from the thrusts of rotors anywhere to force and moment, shape (6, n_r).
 
     Its rows are F_x, F_y, F_z, M_x, M_y, M_z in body axes. It is nominal: laws count with their medians.
@@ -48,7 +48,7 @@ def effects(vehicle: Vehicle) -> np.ndarray:
     for rotor, coefficient in zip(vehicle.rotor, coefficients, strict=True):
         place = tuple(map(nominal, rotor.position))
         axis = tuple(map(nominal, rotor.axis))
-        columns.append(effect_of(rotor._replace(position=place, axis=axis), coefficient))
+        columns.append(rotor_wrench(rotor._replace(position=place, axis=axis), coefficient))
     return np.array(columns, dtype=float).T
 
 
@@ -65,14 +65,14 @@ def without_side_force(inverse: np.ndarray, vehicle: Vehicle) -> np.ndarray:
     """
     if not vehicle.rotor:
         return inverse
-    matrix = effects(vehicle)
-    side = matrix[:2]  # F_x and F_y
-    if not side.any():
+    matrix = wrench_matrix(vehicle)
+    side_force = matrix[:2]  # the rows of F_x and F_y
+    if not side_force.any():
         return inverse
     _, values, rows = np.linalg.svd(matrix[2:])
     rank = int(np.sum(values > SMALLEST_VALUE * values[0]))
     free = rows[rank:].T  # the thrusts that change neither net thrust nor moments
-    return inverse - free @ np.linalg.pinv(side @ free, rcond=SMALLEST_VALUE) @ side @ inverse
+    return inverse - free @ np.linalg.pinv(side_force @ free, rcond=SMALLEST_VALUE) @ side_force @ inverse
 
 
 def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
@@ -87,7 +87,7 @@ def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
     require_independent_axes(vehicle, matrix)
     inverse = without_side_force(np.linalg.pinv(matrix), vehicle)
     inverse[np.abs(inverse) < NEGLIGIBLE_ENTRY * np.abs(inverse).max(axis=0)] = 0.0
-    return tuple(tuple(float(value) for value in row) for row in inverse)
+    return tuple(map(tuple, inverse.tolist()))
 
 
 def flying_allocation(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:

@@ -130,15 +130,15 @@ def largest_accelerations(vehicle: Vehicle, inverse: np.ndarray) -> dict[str, fl
         inverse: The allocation, shape (n_r, 4).
     """
     weight = nominal(vehicle.mass) * GRAVITY
-    hover = weight * inverse[:, 0]
-    room = np.minimum(hover, vehicle.nominal_thrust_limit - hover)  # by which a thrust may fall and rise
+    hover_thrusts = weight * inverse[:, 0]
+    reserve = np.minimum(hover_thrusts, vehicle.nominal_thrust_limit - hover_thrusts)  # to fall and to rise by
     accelerations = {}
-    body = [nominal(value) for value in vehicle.body_inertia]
+    body_inertia = [nominal(value) for value in vehicle.body_inertia]
     transverse = nominal(vehicle.rotor_inertia_xy)
-    hubs = [transverse, transverse, nominal(vehicle.rotor_inertia_z)]
+    hub_inertia = [transverse, transverse, nominal(vehicle.rotor_inertia_z)]
     for place, axis in enumerate(AXES[1:]):  # without thrust, the first column of the allocation
-        inertia = body[place] + vehicle.rotors * hubs[place]
+        inertia = body_inertia[place] + vehicle.rotors * hub_inertia[place]
         column = np.abs(inverse[:, place + 1])
         is_used = column > SMALLEST_SHARE * column.max()
-        accelerations[axis] = float(np.min(room[is_used] / column[is_used])) / inertia
+        accelerations[axis] = float(np.min(reserve[is_used] / column[is_used])) / inertia
     return accelerations

@@ -45,17 +45,17 @@ def require_voltages(battery: Battery) -> Battery:
 
 
 def power_at_full_voltage(vehicle: Vehicle, efficiency: Scalar, speeds: Sequence[Scalar]) -> Scalar:
-    """Electrical power P that the rotors would take at full voltage [W].
+    """Electrical power P = sum c_tau k_T |thetadot_i|^3/efficiency of the rotors at full voltage [W].
 
     Args:
         vehicle: The coefficients of the rotors.
         efficiency: Efficiency of motors and controllers.
         speeds: Speed of each rotor at full voltage [rad/s].
     """
-    coefficients = zip(vehicle.torque_coefficients, vehicle.thrust_coefficients, speeds, strict=True)
+    rotors = zip(vehicle.torque_coefficients, vehicle.thrust_coefficients, speeds, strict=True)
     power: Scalar = 0.0
-    for torque, thrust, speed in coefficients:
-        power = power + jnp.abs(torque) * thrust * jnp.abs(speed) ** 3
+    for c_tau, k_t, speed in rotors:
+        power = power + jnp.abs(c_tau) * k_t * jnp.abs(speed) ** 3
     return power / efficiency
 
 

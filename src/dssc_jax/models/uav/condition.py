@@ -15,17 +15,21 @@ def voltage_of(condition: Condition | None) -> Scalar:
 
 
 def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> RotorMotion:
-    """The motion of rotors after events, in which each speed is lower by a factor.
+    """The motion of the rotors after events, in which each speed is lower by a factor.
 
-    The factor is the root of the rotor's effectiveness, because thrust goes with the square of the speed, times the
-    voltage. None: the study has no events of the vehicle.
+    The factor of a rotor is the root of its effectiveness times the relative voltage: thrust goes with the square of
+    the speed.
+
+    Args:
+        motion: The motion without events.
+        condition: The changes by the events; None: the study has no events of the vehicle.
     """
     if condition is None:
         return motion
     if not condition.effectiveness and condition.voltage is None:
         return motion
-    shares = condition.effectiveness or (1.0,) * len(motion.speeds)
-    return scaled_motion(motion, [root_abs(share) * voltage_of(condition) for share in shares])
+    effectiveness = condition.effectiveness or (1.0,) * len(motion.speeds)
+    return scaled_motion(motion, [root_abs(thrust_share) * voltage_of(condition) for thrust_share in effectiveness])
 
 
 def scaled_motion(motion: RotorMotion, factors: Sequence[Scalar]) -> RotorMotion:

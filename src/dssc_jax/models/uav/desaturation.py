@@ -47,11 +47,11 @@ class Direction(NamedTuple):
 
     Args:
         entries: Thrust of each rotor per unit of net thrust or moment.
-        strong: Whether each rotor's share is large enough for the rotor to be desaturated along the direction.
+        is_strong: Whether each rotor's entry is large enough for the rotor to be desaturated along the direction.
     """
 
     entries: tuple[float, ...]
-    strong: tuple[bool, ...]
+    is_strong: tuple[bool, ...]
 
 
 class Directions(NamedTuple):
@@ -97,9 +97,10 @@ def directions_of(inverse: Sequence[Sequence[float]]) -> Directions:
     scales = scales_of(inverse)
     directions = []
     columns = np.array(inverse, dtype=float).T
-    for column, scale in zip(columns, (scales.thrust, scales.turning, scales.turning, scales.yaw), strict=True):
-        least_share = WEAK * scale if scale > 0.0 else WEAK
-        is_strong = np.abs(column) >= least_share
+    scale_of_columns = (scales.thrust, scales.turning, scales.turning, scales.yaw)
+    for column, scale in zip(columns, scale_of_columns, strict=True):
+        least_entry = WEAK * scale if scale > 0.0 else WEAK
+        is_strong = np.abs(column) >= least_entry
         directions.append(Direction(tuple(column.tolist()), tuple(is_strong.tolist())))
     return Directions(*directions)
 
@@ -119,8 +120,8 @@ def gain_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -
     """
     low: Scalar = 0.0
     high: Scalar = 0.0
-    for f, entry, strong in zip(thrusts, direction.entries, direction.strong, strict=True):
-        if not strong:
+    for f, entry, is_strong in zip(thrusts, direction.entries, direction.is_strong, strict=True):
+        if not is_strong:
             continue
         excess = jnp.where(f < 0.0, -f, jnp.where(f > limit, limit - f, 0.0))
         low = jnp.minimum(low, excess / entry)

@@ -51,9 +51,9 @@ def prepared_ground(ground: Ground, mass: Scalar) -> Ground:
 
     The default stiffness lets a standing vehicle sink in by :data:`SINK`; the default damping is critical.
     """
-    share = nominal(mass) / len(FEET)  # mass on a foot
-    stiffness = ground.stiffness if ground.stiffness is not None else share * GRAVITY / SINK
-    damping = ground.damping if ground.damping is not None else 2.0 * (nominal(stiffness) * share) ** 0.5
+    mass_on_foot = nominal(mass) / len(FEET)
+    stiffness = ground.stiffness if ground.stiffness is not None else mass_on_foot * GRAVITY / SINK
+    damping = ground.damping if ground.damping is not None else 2.0 * (nominal(stiffness) * mass_on_foot) ** 0.5
     return ground._replace(stiffness=stiffness, damping=damping)
 
 
@@ -79,21 +79,21 @@ def contact(ground: Ground, position: Vec3, velocity: Vec3, rotation: Mat3, rate
         push = jnp.where(depth > 0.0, normal_force, 0.0)  # N
         sliding = jnp.sqrt(speed.x * speed.x + speed.y * speed.y + SLOW * SLOW)
         friction_factor = -ground.friction * push / sliding
-        part = Vec3(friction_factor * speed.x, friction_factor * speed.y, push)
-        force = force + part
-        torque = torque + foot.cross(rotation.transpose @ part)
+        foot_force = Vec3(friction_factor * speed.x, friction_factor * speed.y, push)
+        force = force + foot_force
+        torque = torque + foot.cross(rotation.transpose @ foot_force)
     return Contact(force, torque)
 
 
 def lift_factor(ground: Ground, height: Scalar) -> Scalar:
     """Thrust near the ground over the thrust far from it, for a height z of the centre of mass [m].
 
-    All rotors count as being at the height of the centre of mass.
+    It is 1/(1 - (R/(4 h))^2) (Cheeseman and Bennett). All rotors count as being at the height of the centre of mass.
     """
     radius = ground.rotor_radius
     assert radius is not None
-    share = radius / (4.0 * jnp.maximum(height - ground.height, LOWEST_HEIGHT * radius))
-    return 1.0 / (1.0 - share * share)
+    ratio = radius / (4.0 * jnp.maximum(height - ground.height, LOWEST_HEIGHT * radius))  # R/(4 h)
+    return 1.0 / (1.0 - ratio * ratio)
 
 
 def rotor_thrusts(

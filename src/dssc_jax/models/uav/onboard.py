@@ -278,20 +278,27 @@ def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
     return state._replace(inner=HeldLoop(software, demand.thrust, thrusts.commanded, limited))
 
 
-def rotor_places(vehicle: Vehicle) -> tuple[list[tuple[float, ...]], list[Scalar]]:
-    """The nominal place of each rotor [m], and the sign of its drag torque: 1 if it turns clockwise from above."""
+class RotorMount(NamedTuple):
+    """The nominal place of a rotor in body axes [m], and the sign of its drag torque: 1 if it turns clockwise."""
+
+    position: tuple[float, ...]
+    torque_sign: Scalar
+
+
+def rotor_mounts(vehicle: Vehicle) -> list[RotorMount]:
+    """The mount of each rotor, in the order of the rotors."""
     if vehicle.rotor:
-        places = [tuple(map(nominal, rotor.position)) for rotor in vehicle.rotor]
-        return places, [rotor.direction for rotor in vehicle.rotor]
+        return [RotorMount(tuple(map(nominal, rotor.position)), rotor.direction) for rotor in vehicle.rotor]
+    mounts = []
     arm = nominal(vehicle.arm)
-    x, y = vehicle.directions()
-    return [(arm * a, arm * b, 0.0) for a, b in zip(x, y, strict=True)], list(vehicle.spins)
+    for x, y, spin in zip(*vehicle.directions(), vehicle.spins, strict=True):
+        mounts.append(RotorMount((arm * x, arm * y, 0.0), spin))
+    return mounts
 
 
 def rotor_sentences(params: UavParams) -> tuple[str, ...]:
     """Sentences for the generated code's README: the commands, the axes, and each rotor's place and turning sense."""
     vehicle = params.vehicle
-    places, senses = rotor_places(vehicle)
     sentences = [
         "Commands are `u_p` of each channel: velocities along x, y, z [m/s] and the rate of yaw [rad/s].",
         "World axes are x, y, z up, body axes forward, left, up. From NED and FRD: (x, y, z) = (east, north, -down), "
@@ -301,9 +308,9 @@ def rotor_sentences(params: UavParams) -> tuple[str, ...]:
         "Parameters that end in `_0`, `_1`, `_2` are those of roll, pitch and yaw; of `velocity_integral` of x, y, z.",
         "Places of rotors are in metres from the centre of mass.",
     ]
-    for index, (place, sense) in enumerate(zip(places, senses, strict=True)):
-        at = ", ".join(f"{value:.4g}" for value in place)
-        direction_text = "clockwise" if nominal(sense) > 0.0 else "counter-clockwise"
+    for index, mount in enumerate(rotor_mounts(vehicle)):
+        at = ", ".join(f"{value:.4g}" for value in mount.position)
+        direction_text = "clockwise" if nominal(mount.torque_sign) > 0.0 else "counter-clockwise"
         named = f"`rotor_{index}`, rotor {index + 1} of trajectories"
         sentences.append(f"{named}, is at ({at}) and turns {direction_text} as seen from above.")
     return tuple(sentences)

@@ -174,14 +174,14 @@ def completed_belief(believed: Believed, vehicle: Vehicle) -> Believed:
     stated_values = {name: value for name, value in believed._asdict().items() if value is not None}
     if believed.inertia is not None and len(believed.inertia) != 3:
         raise ConfigError("believed.inertia", f"needs three values, got {believed.inertia}")
-    nominal_vehicle = vehicle._replace(
+    nominal_inertia = vehicle._replace(
         body_inertia=tuple(nominal(value) for value in vehicle.body_inertia),
         rotor_inertia_xy=nominal(vehicle.rotor_inertia_xy),
         rotor_inertia_z=nominal(vehicle.rotor_inertia_z),
-    )
+    ).inertia
     vehicle_values = Believed(
         mass=nominal(vehicle.mass),
-        inertia=tuple(nominal_vehicle.inertia),
+        inertia=tuple(nominal_inertia),
         thrust_coefficient=nominal(vehicle.thrust_coefficient),
     )
     return vehicle_values._replace(**stated_values)

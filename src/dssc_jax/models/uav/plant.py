@@ -143,19 +143,18 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
             bounded=held_loop.software.bounded > 0.5,
             slope=jax.tree.map(lambda leaf: 0.0, held_loop),
         )
-    model = params.inner_model
     readings = readings_of(state)
     rotation = readings.attitude.matrix()
     command, yaw_command = velocity_commands(drive)
     demanded = demand(
-        gains, model.mass, model.inertia, readings.velocity, rotation, readings.rate, state.inner, command, yaw_command
+        gains, params.craft, readings.velocity, rotation, readings.rate, state.inner, command, yaw_command
     )
     limit = params.vehicle.thrust_limit
     rotors = allocate(params.allocation, demanded.thrust, demanded.moment, limit, params.desaturation)
     return RotorCommands(demanded.thrust, rotors, demanded.bounded, demanded.integrals)
 
 
-class Turning(NamedTuple):
+class DrivenRotors(NamedTuple):
     """The motion of the rotors, and what supplies it.
 
     Args:
@@ -169,16 +168,16 @@ class Turning(NamedTuple):
     supply: Supply
 
 
-def turning_rotors(params: UavParams, state: UavState, drive: PlantInput, commands: RotorCommands) -> Turning:
+def driven_rotors(params: UavParams, state: UavState, drive: PlantInput, commands: RotorCommands) -> DrivenRotors:
     """The motion of the rotors at the present state: as commanded, and with the battery and the events' changes."""
     commanded = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
     actual = conditioned_motion(commanded, drive.condition)
     if params.battery is None:
-        return Turning(commanded, actual, Supply(voltage=1.0, current=0.0))
+        return DrivenRotors(commanded, actual, Supply(voltage=1.0, current=0.0))
     power = power_at_full_voltage(params.vehicle, params.battery.efficiency, actual.speeds)
     battery_supply = supply(params.battery, state.charge, power)
     factors = (battery_supply.voltage,) * len(actual.speeds)
-    return Turning(commanded, scaled_motion(actual, factors), battery_supply)
+    return DrivenRotors(commanded, scaled_motion(actual, factors), battery_supply)
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
@@ -189,7 +188,7 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
     vehicle = params.vehicle
     ground = params.ground
     commands = rotor_commands(params, state, drive)
-    rotor_state = turning_rotors(params, state, drive, commands)
+    rotor_state = driven_rotors(params, state, drive, commands)
     motion = rotor_state.actual
     speeds = motion.speeds
     thrust, moment, side_force = wrench(vehicle, rotor_thrusts(vehicle, ground, state.position.z, speeds))
@@ -241,7 +240,7 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     rotation = state.attitude.matrix()
     commands = rotor_commands(params, state, drive)
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
-    rotor_state = turning_rotors(params, state, drive, commands)
+    rotor_state = driven_rotors(params, state, drive, commands)
     charge = 1.0 if params.battery is None else jnp.maximum(state.charge, 0.0)
     voltage = rotor_state.supply.voltage * voltage_of(drive.condition)
     wind = wind_at(drive.wind, state.position.z, drive.condition)

@@ -52,19 +52,20 @@ def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
     arm = distance_of_rotors(vehicle)
     inertia = [nominal(value) for value in vehicle.body_inertia]
     transverse = 0.5 * (inertia[0] + inertia[1]) + vehicle.rotors * nominal(vehicle.rotor_inertia_xy)
-    gyration = (transverse / mass) ** 0.5
+    gyration_radius = (transverse / mass) ** 0.5
     weight = mass * GRAVITY
     coefficients = [nominal(value) for value in vehicle.thrust_coefficients]
-    lift = vehicle.rotors * vehicle.nominal_thrust_limit
-    hover = (weight / sum(coefficients)) ** 0.5
-    torque = max(nominal(value) for value in vehicle.torque_coefficients)
+    full_thrust = vehicle.rotors * vehicle.nominal_thrust_limit
+    hover_speed = (weight / sum(coefficients)) ** 0.5
+    torque_over_thrust = max(nominal(value) for value in vehicle.torque_coefficients)
+    relative_gyration = gyration_radius / arm
     ranges = [
         UsualRange("mean distance of the rotors from the centre", ("arm", "rotor"), arm, 0.02, 3.0, "m"),
         UsualRange("mass over square of arm", ("mass", "arm", "rotor"), mass / arm**2, 3.0, 300.0, "kg/m^2"),
-        UsualRange("hover throttle", ("max_thrust",), weight / lift, 0.1, 0.7, "of f_max"),
-        UsualRange("torque over thrust", ("torque_coefficient",), torque, 0.002, 0.1, "m"),
-        UsualRange("radius of gyration over arm", ("mass", "arm", "body_inertia"), gyration / arm, 0.15, 1.2, ""),
-        UsualRange("hover speed of a rotor", ("thrust_coefficient", "mass"), hover, 50.0, 4000.0, "rad/s"),
+        UsualRange("hover throttle", ("max_thrust",), weight / full_thrust, 0.1, 0.7, "of f_max"),
+        UsualRange("torque over thrust", ("torque_coefficient",), torque_over_thrust, 0.002, 0.1, "m"),
+        UsualRange("radius of gyration over arm", ("mass", "arm", "body_inertia"), relative_gyration, 0.15, 1.2, ""),
+        UsualRange("hover speed of a rotor", ("thrust_coefficient", "mass"), hover_speed, 50.0, 4000.0, "rad/s"),
     ]  # fmt: skip
     if vehicle.motor_lag is not None:
         ranges.append(UsualRange("motor lag", ("motor_lag",), nominal(vehicle.motor_lag), 0.01, 0.15, "s"))

@@ -25,7 +25,7 @@ class BodyState(NamedTuple):
 
 
 def body_derivative(
-    state: BodyState, mass: Scalar, inertia: Vec3, thrust: Scalar, drag: Vec3, torque: Vec3, rotation: Mat3
+    state: BodyState, mass: Scalar, inertia: Vec3, thrust: Scalar, outer_force: Vec3, torque: Vec3, rotation: Mat3
 ) -> BodyState:
     """The derivative of a rigid body's state, the right-hand side of (1).
 
@@ -34,11 +34,11 @@ def body_derivative(
         mass: M [kg].
         inertia: Diagonal of J [kg m^2].
         thrust: Net thrust f along body z [N].
-        drag: All other forces but the weight, such as F_drag, inertial [N].
+        outer_force: Sum of the forces other than thrust and weight, such as F_drag, inertial [N].
         torque: All torques, body frame [N m].
         rotation: R of the state's attitude.
     """
-    force = Vec3(rotation.a.z, rotation.b.z, rotation.c.z) * thrust + drag
+    force = Vec3(rotation.a.z, rotation.b.z, rotation.c.z) * thrust + outer_force
     acceleration = force / mass - Vec3(0.0, 0.0, GRAVITY)
     rate_dot = (torque - turning_moment(inertia, state.rate)).over(inertia)
     return BodyState(state.velocity, acceleration, state.attitude.rate(state.rate), rate_dot)

@@ -18,7 +18,7 @@ class RotorMotion(NamedTuple):
 def rotor_motion(
     vehicle: Vehicle, thrusts: tuple[Scalar, ...], thrust_coefficients: tuple[Scalar, ...], speeds: tuple[Scalar, ...]
 ) -> RotorMotion:
-    """The motion of the rotors that commanded thrusts ask for.
+    """The motion of the rotors under commanded thrusts.
 
     Without a motor lag the rotors turn at the commanded speeds at once. With a lag, their speeds are states, which
     approach the commanded speeds.
@@ -37,9 +37,12 @@ def rotor_motion(
 
 
 class Wrench(NamedTuple):
-    """Force and moment of all rotors in body axes: thrust along z [N], moment [N m], and the force across z [N].
+    """Force and moment of all rotors in body axes, produced by them or demanded from them.
 
-    ``across`` is () where all rotors point along z.
+    Args:
+        thrust: Force along body z [N].
+        moment: Moment [N m].
+        across: Force along body x and y [N]; () where all rotors point along z, and in the demand of an inner loop.
     """
 
     thrust: Scalar
@@ -58,15 +61,15 @@ def wrench(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> Wrench:
         thrusts: f_i of each rotor [N].
     """
     if not vehicle.rotor:
-        return Wrench(*net(vehicle, thrusts))
-    rows = [effect_of(rotor, c) for rotor, c in zip(vehicle.rotor, vehicle.torque_coefficients, strict=True)]
+        return circle_wrench(vehicle, thrusts)
+    rows = [rotor_wrench(rotor, c) for rotor, c in zip(vehicle.rotor, vehicle.torque_coefficients, strict=True)]
     columns = zip(*rows, strict=True)
     x, y, z, *moments = (dot(column, thrusts) for column in columns)
-    upright = all(is_zero(row[0]) and is_zero(row[1]) for row in rows)
-    return Wrench(z, Vec3(*moments), () if upright else (x, y))
+    are_upright = all(is_zero(row[0]) and is_zero(row[1]) for row in rows)
+    return Wrench(z, Vec3(*moments), () if are_upright else (x, y))
 
 
-def effect_of(rotor: Rotor, torque_coefficient: Scalar) -> tuple[Scalar, ...]:
+def rotor_wrench(rotor: Rotor, torque_coefficient: Scalar) -> tuple[Scalar, ...]:
     """Force [1] and moment [m] of a rotor per thrust, in body axes: F_x, F_y, F_z, M_x, M_y, M_z."""
     axis = rotor.unit_axis
     lever_moment = Vec3(*rotor.position).cross(axis)
@@ -74,7 +77,7 @@ def effect_of(rotor: Rotor, torque_coefficient: Scalar) -> tuple[Scalar, ...]:
     return (*axis, *(lever_moment + drag_torque))
 
 
-def net(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> tuple[Scalar, Vec3]:
+def circle_wrench(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> Wrench:
     """Net thrust f = sum f_i [N] and moment [N m] of rotors on a circle.
 
     The moment is M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i, with the places p_bi of the rotors.
@@ -82,7 +85,9 @@ def net(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> tuple[Scalar, Vec3]:
     x, y = vehicle.directions()
     ones = (1.0,) * vehicle.rotors
     moment = Vec3(dot(y, thrusts), -dot(x, thrusts), 0.0) * vehicle.arm
-    return dot(ones, thrusts), moment._replace(z=vehicle.torque_coefficient * dot(vehicle.spins, thrusts))
+    net_thrust = dot(ones, thrusts)
+    drag_torque = vehicle.torque_coefficient * dot(vehicle.spins, thrusts)
+    return Wrench(net_thrust, moment._replace(z=drag_torque))
 
 
 def gyroscopic_torque(rate: Vec3, rotor_inertia: Scalar, spin: Scalar, spin_up: Scalar) -> Vec3:
@@ -114,14 +119,14 @@ def rotor_torque(vehicle: Vehicle, rate: Vec3, motion: RotorMotion) -> Vec3:
     if not vehicle.rotor:
         spin_up = -dot(vehicle.spins, motion.accelerations) if motion.accelerations else 0.0
         return gyroscopic_torque(rate, vehicle.rotor_inertia_z, -dot(vehicle.spins, motion.speeds), spin_up)
-    momentum = turning_sum(vehicle, motion.speeds)
+    momentum = angular_momentum(vehicle, motion.speeds)
     torque = -rate.cross(momentum)
     if not motion.accelerations:  # (): without a motor lag
         return torque
-    return torque - turning_sum(vehicle, motion.accelerations)
+    return torque - angular_momentum(vehicle, motion.accelerations)
 
 
-def turning_sum(vehicle: Vehicle, speeds: tuple[Scalar, ...]) -> Vec3:
+def angular_momentum(vehicle: Vehicle, speeds: tuple[Scalar, ...]) -> Vec3:
     """The angular momentum I_z sum thetadot_i a_i of all rotors, body axes [kg m^2/s].
 
     Args:

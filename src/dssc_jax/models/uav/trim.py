@@ -82,5 +82,6 @@ def improved_guess(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
         x, y = side_force
         required_force = required_force - rotation @ Vec3(x, y, 0.0)
     size = root_abs(required_force.dot(required_force))
-    share = guess.thrust / thrust  # wanted over given thrust
-    return Guess(required_force / size, share * size, guess.moment - (moment + drag_effect.torque) * share)
+    ratio = guess.thrust / thrust  # wanted over given thrust
+    excess_moment = moment + drag_effect.torque
+    return Guess(required_force / size, ratio * size, guess.moment - excess_moment * ratio)

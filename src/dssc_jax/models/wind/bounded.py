@@ -47,8 +47,8 @@ def bounded_limits(params: BoundedWindParams) -> WindBounds:
     return WindBounds(params.speed, vertical, params.rate)
 
 
-def extreme(params: BoundedWindParams, turn: Scalar, side: Scalar) -> Vec3:
-    """An extreme wind [m/s].
+def extreme_wind(params: BoundedWindParams, turn: Scalar, side: Scalar) -> Vec3:
+    """A wind at its bounds [m/s]: of the largest horizontal norm, and of the largest vertical component.
 
     Args:
         params: The bounds.
@@ -61,7 +61,7 @@ def extreme(params: BoundedWindParams, turn: Scalar, side: Scalar) -> Vec3:
     return Vec3(limits.speed * jnp.cos(angle), limits.speed * jnp.sin(angle), vertical)
 
 
-def towards(wind: Vec3, target: Vec3, distance: Scalar) -> Vec3:
+def moved_towards(wind: Vec3, target: Vec3, distance: Scalar) -> Vec3:
     """The wind after it has moved in a straight line towards a target, but not beyond it.
 
     Args:
@@ -69,9 +69,9 @@ def towards(wind: Vec3, target: Vec3, distance: Scalar) -> Vec3:
         target: The target [m/s].
         distance: Length of the move [m/s], for the horizontal vector and for the vertical component each.
     """
-    way = target - wind
-    horizontal = travelled_share(Vec3(way.x, way.y, 0.0).norm(), distance)  # share of the way
-    vertical = travelled_share(jnp.abs(way.z), distance)
+    difference = target - wind
+    horizontal = travelled_share(Vec3(difference.x, difference.y, 0.0).norm(), distance)
+    vertical = travelled_share(jnp.abs(difference.z), distance)
     # weights that sum to 1: the result stays within the bounds of its ends, to rounding
     return Vec3(
         (1.0 - horizontal) * wind.x + horizontal * target.x,
@@ -89,7 +89,7 @@ def travelled_share(length: Scalar, distance: Scalar) -> Scalar:
 def bounded_init(params: BoundedWindParams, key: jax.Array) -> BoundedWindState:
     """The state at t = 0: the wind is at a random extreme, and stays there until it switches."""
     turn, side = uniforms(key, 2)
-    start = extreme(params, turn, side)
+    start = extreme_wind(params, turn, side)
     return BoundedWindState(start, 0.0, start)
 
 
@@ -100,10 +100,10 @@ def bounded_step(
 
     Switches are the events of a Poisson process: a sample has at least one with the probability 1 - exp(-dt/period).
     """
-    turn, side, chance = uniforms(key, 3)
-    switches = chance < -jnp.expm1(-dt / params.period)
-    fresh = extreme(params, turn, side)
-    target = Vec3(*(jnp.where(switches, new, old) for new, old in zip(fresh, state.target, strict=True)))
+    turn, side, number = uniforms(key, 3)
+    switches = number < -jnp.expm1(-dt / params.period)
+    new_target = extreme_wind(params, turn, side)
+    target = Vec3(*(jnp.where(switches, new, old) for new, old in zip(new_target, state.target, strict=True)))
     return BoundedWindState(bounded_value(params, state, t), t, target)
 
 
@@ -111,7 +111,7 @@ def bounded_value(params: BoundedWindParams, state: BoundedWindState, t: Scalar)
     """The wind at t [m/s]: the extreme itself without a rate, else a point on the straight way to it."""
     if params.rate is None:
         return state.target
-    return towards(state.wind, state.target, params.rate * (t - state.since))
+    return moved_towards(state.wind, state.target, params.rate * (t - state.since))
 
 
 def bounded_mean(params: BoundedWindParams, dt: Scalar) -> Vec3:

@@ -79,13 +79,13 @@ class DrydenState(NamedTuple):
         u: Turbulence u along the mean wind over its intensity.
         v: Filter of the turbulence v across it.
         w: Filter of the vertical turbulence w.
-        on: Share of the sample that lies after the wind's beginning, in [0, 1].
+        begun: Share of the sample that lies after the wind's beginning, in [0, 1].
     """
 
     u: Scalar
     v: Transverse
     w: Transverse
-    on: Scalar
+    begun: Scalar
 
 
 def dryden_law(params: DrydenParams) -> DrydenLaw:
@@ -167,8 +167,10 @@ def transverse_step(state: Transverse, h: Scalar, n1: Scalar, n2: Scalar) -> Tra
 
 def dryden_init(params: DrydenParams, key: jax.Array) -> DrydenState:
     """The state at t = 0, drawn from the stationary law, so that there is no transient."""
-    n = standard_normals(key, 5)
-    return DrydenState(u=n[0], v=transverse_init(n[1], n[2]), w=transverse_init(n[3], n[4]), on=0.0)
+    normals = standard_normals(key, 5)
+    return DrydenState(
+        u=normals[0], v=transverse_init(normals[1], normals[2]), w=transverse_init(normals[3], normals[4]), begun=0.0
+    )
 
 
 def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Scalar, dt: Scalar) -> DrydenState:
@@ -181,14 +183,14 @@ def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Sca
     and L_w/2.
     """
     law = dryden_law(params)
-    n = standard_normals(key, 5)
+    normals = standard_normals(key, 5)
     h_uv = params.airspeed * dt / law.length_uv  # length of the sample in units of L_u/V
     h_w = params.airspeed * dt / law.length_w  # and of L_w/V
     return DrydenState(
-        u=jnp.exp(-h_uv) * state.u + jnp.sqrt(-jnp.expm1(-2.0 * h_uv)) * n[0],
-        v=transverse_step(state.v, h_uv, n[1], n[2]),
-        w=transverse_step(state.w, h_w, n[3], n[4]),
-        on=elapsed_share(params.at, t, dt),
+        u=jnp.exp(-h_uv) * state.u + jnp.sqrt(-jnp.expm1(-2.0 * h_uv)) * normals[0],
+        v=transverse_step(state.v, h_uv, normals[1], normals[2]),
+        w=transverse_step(state.w, h_w, normals[3], normals[4]),
+        begun=elapsed_share(params.at, t, dt),
     )
 
 
@@ -199,7 +201,10 @@ def dryden_value(params: DrydenParams, state: DrydenState, t: Scalar) -> Vec3:
     lateral = law.sigma_uv * state.v.output
     c = jnp.cos(params.direction)
     s = jnp.sin(params.direction)
-    return Vec3(longitudinal * c - lateral * s, longitudinal * s + lateral * c, law.sigma_w * state.w.output) * state.on
+    x = longitudinal * c - lateral * s
+    y = longitudinal * s + lateral * c
+    z = law.sigma_w * state.w.output
+    return Vec3(x, y, z) * state.begun
 
 
 def dryden_mean(params: DrydenParams, dt: Scalar) -> Vec3:

@@ -75,7 +75,7 @@ class SplineWindParams(NamedTuple):
     at: Annotated[Scalar, Quantity("s", "time of the first knot", begins=True)] = 0.0
 
 
-def enclosing(winds: Iterable[Vec3], slopes: Iterable[Vec3] | None) -> WindBounds:
+def mixture_bounds(winds: Iterable[Vec3], slopes: Iterable[Vec3] | None) -> WindBounds:
     """The bounds of a wind that is always a weighted mean of some vectors.
 
     Args:
@@ -116,7 +116,7 @@ def constant_bounds(params: ConstantWindParams) -> WindBounds:
     """The bounds of the wind: its own norms, and no rate if it begins after t = 0, where it jumps."""
     wind = Vec3(params.x, params.y, params.z)
     slopes = [Vec3(0.0, 0.0, 0.0)] if float(params.at) == 0.0 else None
-    return enclosing([wind], slopes)
+    return mixture_bounds([wind], slopes)
 
 
 def check_table(params: PiecewiseParams) -> PiecewiseParams:
@@ -152,7 +152,7 @@ def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scal
 
 def piecewise_bounds(params: PiecewiseParams) -> WindBounds:
     """The bounds of the wind: the largest norms of the rows, between which it jumps."""
-    return enclosing(map(Vec3, params.x, params.y, params.z), slopes=None)
+    return mixture_bounds(map(Vec3, params.x, params.y, params.z), slopes=None)
 
 
 def gust_value(params: GustParams, state: State, t: Scalar) -> Vec3:
@@ -166,7 +166,7 @@ def gust_bounds(params: GustParams) -> WindBounds:
     """The bounds of the wind, which is between mean and mean plus peak; its largest rate is peak pi/duration."""
     mean = Vec3(params.mean_x, params.mean_y, params.mean_z)
     peak = Vec3(params.x, params.y, params.z)
-    return enclosing([mean, mean + peak], [peak * (math.pi / params.duration)])
+    return mixture_bounds([mean, mean + peak], [peak * (math.pi / params.duration)])
 
 
 def check_wind_knots(params: SplineWindParams) -> SplineWindParams:
@@ -192,7 +192,7 @@ def spline_bounds(params: SplineWindParams) -> WindBounds:
     columns = (padded_knots(knots, count) for knots in (params.x, params.y, params.z))
     knots = [Vec3(*row) for row in zip(*columns, strict=True)]
     slopes = [(next_knot - previous_knot) / params.interval for previous_knot, next_knot in pairwise(knots)]
-    return enclosing(knots, slopes)
+    return mixture_bounds(knots, slopes)
 
 
 def padded_knots(knots: Sequence[Scalar], count: int) -> list[Scalar]:

@@ -22,7 +22,7 @@ from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.core.wind import Wind, WindBounds
-from dssc_jax.models.wind.prescribed import enclosing, held_wind
+from dssc_jax.models.wind.prescribed import held_wind, mixture_bounds
 
 
 class RecordedWindParams(NamedTuple):
@@ -62,12 +62,12 @@ def pieces_of(records: tuple[HeldRecord, ...]) -> tuple[Pieces, ...]:
 def held_bounds(records: tuple[HeldRecord, ...]) -> WindBounds:
     """Bounds of a wind that holds its values and jumps between them: the largest norms of the values."""
     values = coefficient_rows(pieces_of(records), power=0)
-    return enclosing(values, slopes=None)
+    return mixture_bounds(values, slopes=None)
 
 
 def line_bounds(pieces: tuple[Pieces, ...]) -> WindBounds:
     """Bounds of a wind that goes in straight lines: the largest norms of the values and of the slopes between them."""
-    return enclosing(coefficient_rows(pieces, power=0), coefficient_rows(pieces, power=1))
+    return mixture_bounds(coefficient_rows(pieces, power=0), coefficient_rows(pieces, power=1))
 
 
 def coefficient_rows(pieces: tuple[Pieces, ...], power: int) -> list[Vec3]:

@@ -41,8 +41,12 @@ from dssc_jax.models.uav.estimators.sensors import (
 from dssc_jax.models.uav.inner_loops.sampled import conjugate, product
 
 STATES = 15
-POSITION, VELOCITY, ATTITUDE, GYRO_BIAS, ACCEL_BIAS = 0, 3, 6, 9, 12
-"""Index of the first component of each part of the error state."""
+# index of the first component of each part of the error state
+POSITION = 0
+VELOCITY = 3
+ATTITUDE = 6
+GYRO_BIAS = 9
+ACCEL_BIAS = 12
 NAVIGATION = 9
 """Number of leading error states in the normalised squared error: position, velocity, attitude."""
 LEAST_VARIANCE = 1e-30
@@ -249,9 +253,9 @@ def heading_row(rotation: Mat3) -> Sparse:
 
     It is 1 about the vertical axis, and tan theta about the horizontal direction of the body's x axis.
     """
-    flat = rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x  # cos^2 theta
-    lean = -rotation.c.x / jnp.maximum(flat, 1e-12)  # sin theta/cos^2 theta, finite at the singularity
-    return (ATTITUDE, rotation.a.x * lean), (ATTITUDE + 1, rotation.b.x * lean), (ATTITUDE + 2, 1.0)
+    cos2_theta = rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x
+    ratio = -rotation.c.x / jnp.maximum(cos2_theta, 1e-12)  # sin theta/cos^2 theta, finite at the singularity
+    return (ATTITUDE, rotation.a.x * ratio), (ATTITUDE + 1, rotation.b.x * ratio), (ATTITUDE + 2, 1.0)
 
 
 class Update(NamedTuple):

@@ -228,14 +228,14 @@ def sense(
         The state of the sensors, the increments since the sample before, and the other readings.
     """
     increments = measured_increments(sensors, memory, motion, random, dt)
-    *later_positions, delayed_position = (motion.position, *memory.positions)
+    positions = (motion.position, *memory.positions)  # the latest first
     next_memory = SensorMemory(
         previous=motion,
         gyro_bias=memory.gyro_bias + random.vector(SamplePlace.GYRO_WALK, sensors.gyro_walk) * math.sqrt(dt),
         accel_bias=memory.accel_bias + random.vector(SamplePlace.ACCEL_WALK, sensors.accel_walk) * math.sqrt(dt),
-        positions=tuple(later_positions),
+        positions=positions[:-1],
     )
-    return next_memory, increments, measured_aids(sensors, motion, delayed_position, random, k, dt)
+    return next_memory, increments, measured_aids(sensors, motion, positions[-1], random, k, dt)
 
 
 def measured_increments(

@@ -12,8 +12,9 @@ from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.inner_loops.article import InnerGains
 from dssc_jax.models.uav.inner_loops.crazyflie import CrazyflieGains
 from dssc_jax.models.uav.inner_loops.px4 import Px4Gains
-from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Trim, Wrench
+from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Trim
 from dssc_jax.models.uav.inner_loops.start import Start
+from dssc_jax.models.uav.rotors import Wrench
 
 S = TypeVar("S")
 

@@ -101,8 +101,9 @@ class InnerGains(NamedTuple):
         rotation = attitude_from_angles(trim.angles).matrix()
         at = trig_of(rotation)
         wanted = euler_rates(at, trim.moment.over(craft.inertia))  # accelerations of the angles [rad/s^2]
-        share = trim.thrust / craft.mass
-        surplus = trim.upward * share - Vec3(0.0, 0.0, GRAVITY)  # acceleration that the inner loop takes for real
+        specific_thrust = trim.thrust / craft.mass  # [m/s^2]
+        surplus = trim.upward * specific_thrust - Vec3(0.0, 0.0, GRAVITY)  # acceleration that the inner loop assumes
+        by_norm = self.thrust is ThrustRule.NORM
         feeds = self.attitude is AttitudeReference.RATE_FEED_FORWARD
         phi_rate: Scalar = 0.0  # rates of the desired roll and pitch [rad/s]
         theta_rate: Scalar = 0.0
@@ -110,8 +111,7 @@ class InnerGains(NamedTuple):
         for _ in range(FEED_FORWARD_ROUNDS if feeds else 1):
             phi = trim.angles.phi + (wanted.phi - self.kd_attitude * phi_rate) / self.kp_attitude
             theta = trim.angles.theta + (wanted.theta - self.kd_attitude * theta_rate) / self.kp_attitude
-            by_norm = self.thrust is ThrustRule.NORM
-            up = share * (jnp.cos(phi) * jnp.cos(theta) if by_norm else rotation.c.z)
+            up = specific_thrust * (jnp.cos(phi) * jnp.cos(theta) if by_norm else rotation.c.z)
             desired = acceleration_for_tilt(phi, theta, up, at)
             if feeds:
                 heading = (at.cpsi, at.spsi)
@@ -297,8 +297,7 @@ def moment_for(inertia: Vec3, at: Trig, rate: Vec3, turning: Euler, desired: Eul
 
 def demand(
     gains: InnerGains,
-    mass: Scalar,
-    inertia: Vec3,
+    craft: Craft,
     velocity: Vec3,
     rotation: Mat3,
     rate: Vec3,
@@ -313,8 +312,7 @@ def demand(
 
     Args:
         gains: Gains and variants.
-        mass: Nominal M of the inner loop [kg].
-        inertia: Nominal J of the inner loop [kg m^2].
+        craft: The vehicle as the inner loop knows it.
         velocity: v, inertial [m/s].
         rotation: R, body to inertial.
         rate: Body rate Omega [rad/s].
@@ -330,10 +328,10 @@ def demand(
     bounded = lift < LEAST_LIFT
     desired = desired._replace(z=jnp.where(bounded, LEAST_LIFT, lift))
     by_norm = gains.thrust is ThrustRule.NORM
-    thrust = mass * (desired.norm() if by_norm else desired.z / rotation.c.z)  # cos phi cos theta
+    thrust = craft.mass * (desired.norm() if by_norm else desired.z / rotation.c.z)  # cos phi cos theta
     if gains.attitude is AttitudeReference.RATE_FEED_FORWARD:
         body_z = Vec3(rotation.a.z, rotation.b.z, rotation.c.z)
-        acceleration = body_z * (thrust / mass) - Vec3(0.0, 0.0, GRAVITY)
+        acceleration = body_z * (thrust / craft.mass) - Vec3(0.0, 0.0, GRAVITY)
         slope = error * gains.kp_velocity - acceleration * gains.kd_velocity  # of the desired acceleration
         slope = slope._replace(z=jnp.where(bounded, 0.0, slope.z))
         heading = (at.cpsi, at.spsi)
@@ -349,5 +347,5 @@ def demand(
         gains.kp_attitude * theta_error + gains.kd_attitude * (theta_d_dot - turning.theta),
         gains.kd_yaw * yaw_error + gains.kp_yaw * integrals.yaw,
     )
-    moment = moment_for(inertia, at, rate, turning, accelerate)
+    moment = moment_for(craft.inertia, at, rate, turning, accelerate)
     return Demand(thrust, moment, Integrals(error, yaw_error), bounded)

@@ -19,13 +19,21 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip, is_zero, wrap_angle
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
-from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Trim, Wrench, angles_of, limited, require_integral
+from dssc_jax.models.uav.inner_loops.sampled import (
+    Craft,
+    Readings,
+    Trim,
+    angles_of,
+    limited,
+    require_integral,
+    require_triples,
+)
 from dssc_jax.models.uav.inner_loops.start import Start
+from dssc_jax.models.uav.rotors import Wrench
 from dssc_jax.models.uav.vehicle import GRAVITY
 
 MOTOR_RANGE = 65535.0
@@ -136,9 +144,7 @@ class CrazyflieGains(NamedTuple):
 
         A settled start also needs an integral gain of climb.
         """
-        for name in TRIPLES:
-            if len(getattr(self, name)) != 3:
-                raise ConfigError(name, f"needs three values, roll, pitch and yaw; got {len(getattr(self, name))}")
+        require_triples(self, TRIPLES)
         require_integral(self, "climb_i")
         return self
 
@@ -366,12 +372,12 @@ def heading_velocity(velocity: Vec3, rotation: Mat3) -> Vec3:
 
 
 def torque_units(craft: Craft) -> Vec3:
-    """The moments about body x, y, z of commands of 1 [N m], as the firmware's power distribution scales them.
+    """The moments about body x, y, z [N m] of commands of 1, as the firmware's power distribution scales them.
 
-    A command of 1 changes the thrust of the rotor with the largest share in it by a part of its limit: by 1/2 for roll
-    and pitch, and by 1 for yaw.
+    A command of 1 changes the thrust of the rotor with the largest entry in its column of the allocation: by half of
+    the rotor's limit for roll and pitch, and by the whole limit for yaw.
     """
-    moment_columns = np.array(craft.allocation, dtype=float)[:, 1:4]  # without net thrust
-    largest = np.abs(moment_columns).max(axis=0)
-    roll, pitch, yaw = (craft.rotor_limit / float(entry) for entry in largest)
+    moment_columns = np.array(craft.allocation, dtype=float)[:, 1:4]  # thrust per moment [1/m], without net thrust
+    largest_entries = np.abs(moment_columns).max(axis=0)
+    roll, pitch, yaw = (craft.rotor_limit / float(entry) for entry in largest_entries)
     return Vec3(0.5 * roll, 0.5 * pitch, yaw)

@@ -34,7 +34,6 @@ from dssc_jax.models.uav.inner_loops.sampled import (
     LowPass,
     Readings,
     Trim,
-    Wrench,
     blend,
     canonical,
     conjugate,
@@ -43,10 +42,12 @@ from dssc_jax.models.uav.inner_loops.sampled import (
     low_pass,
     product,
     require_integral,
+    require_triples,
     settled_low_pass,
     smoothing,
 )
 from dssc_jax.models.uav.inner_loops.start import Start
+from dssc_jax.models.uav.rotors import Wrench
 from dssc_jax.models.uav.vehicle import GRAVITY
 
 RATE_OF_LESS_INTEGRAL = math.radians(400.0)
@@ -124,9 +125,7 @@ class Px4Gains(NamedTuple):
             ConfigError: A triple has not three values, a settled start has no integral gain of the vertical velocity,
                 the gyroscopes' filter is too fast for the ticks, or the least thrust is not below the largest.
         """
-        for name in TRIPLES:
-            if len(getattr(self, name)) != 3:
-                raise ConfigError(name, f"needs three values, roll, pitch and yaw; got {len(getattr(self, name))}")
+        require_triples(self, TRIPLES)
         require_integral(self, "velocity_i_z")
         cutoff = self.gyro_cutoff
         if cutoff is not None and not 2.0 * cutoff < self.frequency:

@@ -1,6 +1,7 @@
 """Common parts of the sampled inner loops: inputs, results, limits, and the filters of autopilots."""
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.inner_loops.start import Start
+from dssc_jax.models.uav.rotors import Wrench
 
 
 class Readings(NamedTuple):
@@ -50,13 +52,6 @@ class Craft(NamedTuple):
     def full_thrust(self) -> Scalar:
         """Thrust of all rotors at their limit [N]."""
         return len(self.allocation) * self.rotor_limit
-
-
-class Wrench(NamedTuple):
-    """Thrust along body z [N] and moment, body frame [N m]."""
-
-    thrust: Scalar
-    moment: Vec3
 
 
 class Angles(NamedTuple):
@@ -139,6 +134,18 @@ def require_integral(gains: StartsSettled, gain: str) -> None:
     if gains.start is Start.SETTLED and nominal(getattr(gains, gain)) == 0.0:
         rule = "'settled' is the equilibrium of the integrals"
         raise ConfigError("start", f"{rule}, and with {gain} = 0 the vertical velocity has none: set 'zero'")
+
+
+def require_triples(gains: object, names: Iterable[str]) -> None:
+    """Require three values, of roll, pitch and yaw, in each of some fields of an inner loop's gains.
+
+    Raises:
+        ConfigError: A field has another number of values.
+    """
+    for name in names:
+        count = len(getattr(gains, name))
+        if count != 3:
+            raise ConfigError(name, f"needs three values, roll, pitch and yaw; got {count}")
 
 
 def allocated_moment(craft: Craft, thrusts: tuple[Scalar, ...]) -> Vec3:
