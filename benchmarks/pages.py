@@ -16,8 +16,8 @@ from dssc_jax.analyses.loading import KINDS, class_of
 from dssc_jax.cli.application import app
 from dssc_jax.console.kinds import HEADS, KIND_COLUMNS, registries, rows_of
 from dssc_jax.results.fields import field_meanings
+from dssc_jax.study.available_metrics import PACKAGE_METRICS
 from dssc_jax.study.laws import LAWS
-from dssc_jax.study.measuring import PACKAGE_METRICS
 from dssc_jax.study.parsed_values import AXES
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.sections import FIXED_TABLES

@@ -28,7 +28,7 @@ from dssc_jax.results.manifest import (
     stored_layout,
     write_manifest,
 )
-from dssc_jax.results.schema import copy_block, in_memory
+from dssc_jax.results.schema import copy_block, empty_dataset
 from dssc_jax.study import Study, hash_of, stored_study
 
 
@@ -176,7 +176,7 @@ class Store:
         self.chunks.write(block, results, law_values)
         computes_all = self.pending == self.layout.blocks()
         if self.values is None and computes_all:
-            self.values = in_memory(self.study)
+            self.values = empty_dataset(self.study)
         if self.values is not None:
             copy_block(self.values, block, results, law_values)
 
@@ -257,7 +257,7 @@ def read_dataset(folder: Path, study: Study, manifest: Manifest) -> xr.Dataset:
     layout = stored_layout(folder, study, manifest)
     chunks = Chunks(folder, study, layout, any_draw_count=not manifest.get("complete"))
     chunks.require_all()
-    dataset = in_memory(study)
+    dataset = empty_dataset(study)
     chunks.read(dataset)
     chunks.require_written(dataset, manifest.get(DIGESTS))
     require_coordinates(folder, study)

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from itertools import product
 from typing import TypeGuard
 
+import jax
 import numpy as np
 
 from dssc_jax.core.errors import nearest
+from dssc_jax.core.signals import Params
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.law_kinds import LAWS
 
@@ -36,6 +38,11 @@ class UncertainValue(ABC):
     @abstractmethod
     def nominal(self) -> float:
         """Value that an inner loop, or a controller which is fitted to the plant, assumes in every draw."""
+
+
+def nominal_params(params: Params) -> Params:
+    """Parameters with the nominal value in place of each law and each expression."""
+    return jax.tree.map(lambda leaf: leaf.nominal if isinstance(leaf, UncertainValue) else leaf, params)
 
 
 @dataclass(frozen=True)

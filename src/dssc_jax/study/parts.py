@@ -17,7 +17,8 @@ from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.actuators import section_of
 from dssc_jax.study.components import Component, as_table
 from dssc_jax.study.events import CHANNEL_EVENTS, EVENT, events_of, vehicle_events, with_channel_events
-from dssc_jax.study.fitting import fitted_controllers, nominal_params
+from dssc_jax.study.fitting import fitted_controllers
+from dssc_jax.study.laws import nominal_params
 from dssc_jax.study.measures import measurable_signals, parse_signal_sensors, require_signals, sensor_tables
 from dssc_jax.study.numbers import Number, dotted_name
 from dssc_jax.study.parameters import ParameterTable

@@ -132,6 +132,8 @@ class Study:
     def override(self, changes: Mapping[str, object]) -> "Study":
         """Return the study with other values by dotted name, such as ``{"controller.functions.tau_av": 0.05}``.
 
+        A changed file of native code also gets the digest of its present content.
+
         Raises:
             ConfigError: A name does not exist, or the changed study is not valid.
         """
