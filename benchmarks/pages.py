@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from dssc_jax.analyses.loading import KINDS, class_of
 from dssc_jax.cli.application import app
-from dssc_jax.console.kinds import HEADS, KIND_COLUMNS, registries, rows_of
+from dssc_jax.console.kinds import HEADS, FieldRow, registries, rows_of
 from dssc_jax.results.fields import field_meanings
 from dssc_jax.study.available_metrics import PACKAGE_METRICS
 from dssc_jax.study.laws import LAWS
@@ -108,7 +108,7 @@ def study_file() -> str:
             lines += [f'### kind = "{kind}"', "", f"{entry.summary}.", ""]
             rows = rows_of(entry)
             if rows:
-                lines += table(KIND_COLUMNS, ((f"`{row[0]}`", *row[1:]) for row in rows))
+                lines += table(FieldRow._fields, (row._replace(field=f"`{row.field}`") for row in rows))
     return "\n".join(lines).rstrip() + "\n"
 
 

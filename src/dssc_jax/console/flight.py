@@ -223,7 +223,8 @@ def counts_table(test: StudyTest) -> Table:
         counts = (refuting_count, test.flights_to_confirm[share])
         texts = ["too many" if count is None else str(count) for count in counts]
         rows.append((f"{100 * float(share):g} %", *texts))
-    return ("share of flights beyond", "flights that refute the study", "flights that show less, if it is right"), rows
+    head = ("share of flights beyond", "flights that refute the study", "flights that show less, if it is right")
+    return Table(head, rows)
 
 
 def show_rank(answer: LogAnswer, p_value: float) -> None:

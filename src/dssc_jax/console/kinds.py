@@ -137,7 +137,7 @@ def rows_of(entry: Entry) -> list[FieldRow]:
     rows = [FieldRow(name, meaning=meaning) for name, meaning in entry.keys.items()]
     rows += parameter_rows(params, "", preset)
     for name, values in options_of(entry).items():
-        admissible = " | ".join(values)
+        admissible = " | ".join(map(str, values))
         rows.append(FieldRow(name, meaning="option", admissible=admissible, default=default_text(entry.default)))
     return rows
 

@@ -230,11 +230,11 @@ def part_kind(study: Study, slot: str) -> str:
 
 def present_kinds(study: Study, slot: str) -> list[str]:
     """The kinds of a part that do something, each once: of all channels, of single channels, of measured signals."""
-    table = getattr(study.config, section_of(study.config, slot))
-    parts = table
-    if isinstance(table, dict):
-        parts_of_channels = [part for part in table.values() if isinstance(part, dict)]
-        parts = [table, *parts_of_channels]
+    section = getattr(study.config, section_of(study.config, slot))
+    parts = section
+    if isinstance(section, dict):  # the part of all channels, with tables of single channels in it
+        parts_of_channels = [part for part in section.values() if isinstance(part, dict)]
+        parts = [section, *parts_of_channels]
     kinds = dict.fromkeys(part.get("kind") for part in parts)
     return [kind for kind in kinds if kind is not None and kind not in ABSENT]
 

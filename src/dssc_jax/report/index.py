@@ -51,19 +51,22 @@ class IndexRow(NamedTuple):
     trouble: str = ""
 
 
-def folders(root: Path) -> Iterator[Path]:
+def indexed_folders(root: Path) -> Iterator[Path]:
     """All folders of results and analyses below a folder, and its direct subfolders that contain no such folder."""
     for child in sorted(path for path in root.iterdir() if path.is_dir()):
-        if child.is_symlink():
-            yield child
-            continue
-        result_folders = []
-        for place, subfolders, file_names in os.walk(child):
-            if not DESCRIPTIONS.isdisjoint(file_names):
-                result_folders.append(Path(place))
-                subfolders.clear()
-            subfolders[:] = sorted(set(subfolders) - {store.DATA})  # os.walk visits these
+        result_folders = [] if child.is_symlink() else folders_with_results(child)
         yield from result_folders or [child]
+
+
+def folders_with_results(top: Path) -> list[Path]:
+    """The folders of results and analyses at and below a folder; those within another one are left out."""
+    result_folders = []
+    for place, subfolders, file_names in os.walk(top):
+        if not DESCRIPTIONS.isdisjoint(file_names):
+            result_folders.append(Path(place))
+            subfolders.clear()
+        subfolders[:] = sorted(set(subfolders) - {store.DATA})  # os.walk visits these
+    return result_folders
 
 
 def index_row(folder: Path, on_report: Callable[[Path], None]) -> IndexRow:
@@ -127,7 +130,7 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
     top = Path(root)
     if not top.is_dir():
         raise ConfigError(str(top), "is not a folder of results")
-    rows = [index_row(place, made) for place in folders(top)]
+    rows = [index_row(place, made) for place in indexed_folders(top)]
     target = top / INDEX
     write_page(index_html(top, rows), target)
     return target, rows

@@ -149,11 +149,13 @@ def summary_of_batch(
     outcome = lanes["outcome"]
     count, draws = outcome.shape
     early = ended_early(outcome)
-    violations = {r.label: violated(lanes[r.name]) for r in study.requirements}
-    pairs = overlap_rows(violations, early, statements)
-    overlaps = by_point(pairs, count)
-    if len(pairs) > FEW_PAIRS:
-        overlaps = [[pair for pair in pairs_at_point if pair["draws"]] for pairs_at_point in overlaps]
+    violations = {}
+    for requirement in study.requirements:
+        violations[requirement.label] = violated(lanes[requirement.name])
+    overlaps = []
+    for pairs in by_point(overlap_rows(violations, early, statements), count):
+        is_short = len(pairs) <= FEW_PAIRS
+        overlaps.append(pairs if is_short else [pair for pair in pairs if pair["draws"]])
     outcomes = {}
     for code, meaning in outcome_codes(study).items():
         outcomes[meaning] = np.count_nonzero(outcome == code, axis=-1).tolist()

@@ -191,9 +191,9 @@ def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> F
         """Trace the first sample of the loop, and read the names of the fields."""
         with arithmetic():
             controllers, plant = jax.eval_shape(infos_of, [leaf for leaf in leaves if is_array(leaf)])
-        controller_fields = {
-            channel: fields_of(info, "controller") for channel, info in zip(loop.channels, controllers, strict=True)
-        }
+        controller_fields = {}
+        for channel, info in zip(loop.channels, controllers, strict=True):
+            controller_fields[channel] = fields_of(info, "controller")
         return controller_fields, fields_of(plant, "plant")
 
     return remembered("fields", trace_fields, loop, jax.tree.unflatten(structure, leaves))

@@ -36,6 +36,7 @@ from dssc_jax.study.slots import (
     with_units,
 )
 from dssc_jax.study.table_errors import first_error
+from dssc_jax.study.tables import common_table
 
 DECLARATION_OF_FLIGHT = "a Plant of your own that reads `drive.wind` declares `flies=True` (docs/extending.md)"
 
@@ -294,13 +295,13 @@ def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tu
         ConfigError: An entry is unknown or not valid.
     """
     units_of_plant = plant.units or (UNNAMED_UNITS,) * len(channels)
-    common = {name: value for name, value in table.items() if name not in channels}
+    common = common_table(table, channels)
     valid_names = [*UnitsTable.model_fields, *filter(None, channels)]
     channel_units = []
     for units, channel in zip(units_of_plant, channels, strict=True):
-        has_table = channel in table
-        with errors_under(dotted_name("units", channel) if has_table else "units"):
-            overrides = as_table(table[channel]) if has_table else {}
+        place = dotted_name("units", channel) if channel in table else "units"
+        with errors_under(place):
+            overrides = as_table(table.get(channel, {}))
             try:
                 changes = UnitsTable.model_validate(common | overrides).model_dump(exclude_none=True)
             except ValidationError as error:

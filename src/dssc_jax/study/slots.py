@@ -29,7 +29,7 @@ from dssc_jax.study.actuators import ACTUATOR, parse_chain
 from dssc_jax.study.components import Component, as_table, parse_component
 from dssc_jax.study.events import EVENT
 from dssc_jax.study.numbers import Number, dotted_name
-from dssc_jax.study.tables import channel_table, has_dotted, stands_alone
+from dssc_jax.study.tables import channel_table, common_table, has_dotted, stands_alone
 
 REGISTRIES = {
     "plant": {**PLANTS, "uav": single(UAV, "the full UAV: rigid body, rotors, aerodynamics, inner loops (1)")},
@@ -103,7 +103,7 @@ def reference_kinds(is_angle: bool) -> Registry:
 
 def is_flight(table: TomlTable, channels: Collection[str]) -> bool:
     """Whether the common part of a reference's table is a vehicle's trajectory, other than rest at zero."""
-    common = {name: value for name, value in table.items() if name not in channels}
+    common = common_table(table, channels)
     rests_at_zero = common in ({}, {"kind": "zero"})
     is_trajectory = common.get("kind", "zero") in REGISTRIES["trajectory"]
     return is_trajectory and not rests_at_zero
@@ -131,7 +131,7 @@ def parse_reference(
     if len(channels) == 1:
         registry = reference_kinds(is_angle=channels[0] in angles)
         return with_units(parse_component(table, registry, slot).under(slot, slot), units[0])
-    common = {name: value for name, value in table.items() if name not in channels}
+    common = common_table(table, channels)
     joint = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
     is_of_package = joint.kind in REGISTRIES["trajectory"]
     if is_of_package and len(channels) != len(UAV.channels):
@@ -177,7 +177,7 @@ def parse_channels(table: TomlTable | list[TomlTable], slot: str, channels: tupl
     """
     if isinstance(table, list):
         return parse_chain(table, channels)
-    common = {name: value for name, value in table.items() if name not in channels}
+    common = common_table(table, channels)
     components = []
     for index, channel in enumerate(channels):
         channel_path = dotted_name(slot, channel)

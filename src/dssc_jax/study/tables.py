@@ -3,7 +3,7 @@
 import copy
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -345,6 +345,11 @@ def stands_alone(override: TomlTable, common: TomlTable) -> bool:
     A common table without a kind contains the values that channels of several kinds share.
     """
     return "kind" in common and not has_kind_of(override, common)
+
+
+def common_table(table: TomlTable, channels: Collection[str]) -> TomlTable:
+    """The entries of a section that all channels share: those that are not the table of a channel."""
+    return {name: value for name, value in table.items() if name not in channels}
 
 
 def channel_table(common: TomlTable, override: TomlTable) -> TomlTable:

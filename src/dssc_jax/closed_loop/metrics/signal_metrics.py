@@ -56,12 +56,12 @@ class Variation(NamedTuple):
     Args:
         last: Value at the last sample.
         sum: Sum of the sizes of all changes from sample to sample.
-        samples: 1 if there was a sample, else 0: the first one is no change.
+        begun: 1 once there was a sample, else 0: the first sample is no change.
     """
 
     last: Scalar = 0.0
     sum: Scalar = 0.0
-    samples: Scalar = 0.0
+    begun: Scalar = 0.0
 
 
 def channel_field_reader(index: int, field: str) -> SignalReader:
@@ -215,8 +215,8 @@ def variation_update(signal: SignalReader, periodic: bool = False) -> Callable[[
         """The variation after one more sample."""
         value = signal(instant)
         change = wrap_angle(value - acc.last) if periodic else value - acc.last
-        size = jnp.where(acc.samples > 0.0, jnp.abs(change), 0.0)
-        return Variation(value, acc.sum + size, jnp.minimum(acc.samples + 1.0, 1.0))
+        size = jnp.where(acc.begun > 0.0, jnp.abs(change), 0.0)
+        return Variation(value, acc.sum + size, jnp.minimum(acc.begun + 1.0, 1.0))
 
     return update
 
