@@ -309,8 +309,8 @@ def conclude(loop: Loop, measures: tuple[Measure, ...], requirements: tuple[Requ
     violated_at = {}
     for requirement in requirements:
         samples = certain[requirement.label]  # completed when the violation became certain
-        is_before_end = ok | (samples <= end.steps)
-        time = jnp.where(is_before_end, (samples - 1) * loop.sample_time, failed_at)
+        is_certain_before_end = ok | (samples <= end.steps)
+        time = jnp.where(is_certain_before_end, (samples - 1) * loop.sample_time, failed_at)
         is_violated = violated(slacks[requirement.name])
         violated_at[requirement.violation_name] = jax.lax.stop_gradient(jnp.where(is_violated, time, jnp.nan))
     return Run(

@@ -13,6 +13,11 @@ Work: TypeAlias = Callable[[Stale], None]
 """Does the work of a request; may stop when the request is stale."""
 
 
+def never_stale() -> bool:
+    """Return False, for work that no newer request replaces."""
+    return False
+
+
 class Worker:
     """A thread that serves the newest of several requests; an older request becomes stale.
 
