@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from dssc_jax.core import files
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, errors_in_file
 from dssc_jax.core.files import PARTIAL
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.engine.batching import Layout
@@ -114,10 +114,8 @@ def read_manifest(folder: Path) -> Manifest:
         if not isinstance(manifest.get(name), dict):
             raise ConfigError(str(path), f"is damaged: {name} is not a table")
     require_valid_fields(path, manifest)
-    try:
+    with errors_in_file(str(path)):
         require_shallow(manifest["study"])
-    except ConfigError as error:
-        raise error.within(str(path)) from None
     if manifest.get("hash") != hash_of(manifest["study"]):
         raise ConfigError(str(path), "is damaged: its study does not match its hash")
     return manifest

@@ -16,7 +16,7 @@ from dssc_jax.closed_loop.metrics.requirements import Requirement
 from dssc_jax.closed_loop.metrics.signal_metrics import SampledSignal
 from dssc_jax.closed_loop.metrics.streaming import Measure, Metric, Scope
 from dssc_jax.core.contracts import NoParams, Plant
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, errors_in_file
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.units import ChannelUnits
@@ -166,11 +166,9 @@ class Described(Study):
         units = tuple(ChannelUnits(*texts) for texts in description.units)
         if len(units) != len(channels):
             raise mismatch
-        try:
+        with errors_in_file(source):
             config = validate_fixed(with_constants(dict(table), parameters))
             measures, requirements = described_measures(description, config, units, parameters, unloaded)
-        except ConfigError as error:
-            raise error.within(source) from None
         sweep_shape = tuple(len(values) for values in config.sweep.values())
         has_swept_numbers = numbers.keys() >= config.sweep.keys()
         has_channels = tuple(description.fields) == channels
