@@ -97,7 +97,7 @@ def study_file() -> str:
     lines += ["## Laws", "", LAW_TEXT, ""]
     rows = []
     for name, law in LAWS.items():
-        rows.append((f"`{name}`", f"`{law.signature}`", law.rule[0], "yes" if law.log_density else "no"))
+        rows.append((f"`{name}`", f"`{law.signature}`", law.rule.text, "yes" if law.log_density else "no"))
     lines += table(("law", "arguments", "rule", "may be ranges"), rows)
     lines += ["## Axes of a sweep", "", f"`[sweep]` gives, for a dotted name, one of {', '.join(AXES)}.", ""]
     metrics = [(f"`{name}`", metric.unit, metric.meaning) for name, metric in PACKAGE_METRICS.items()]

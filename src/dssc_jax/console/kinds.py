@@ -309,7 +309,7 @@ def described_name(name: str) -> dict[str, Any]:
     if fields_by_kind:
         description["fields"] = fields_by_kind
     if name in LAWS:
-        description["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule[0]}
+        description["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule.text}
     if name in PACKAGE_METRICS:
         description["metric"] = metric_description(PACKAGE_METRICS[name])
     return description
@@ -328,7 +328,7 @@ def show_kind(name: str) -> None:
     entries = entries_named(name)
     if name in LAWS:
         law = LAWS[name]
-        show_paragraph(f"law {name} = {law.signature}: {law.rule[0]}")
+        show_paragraph(f"law {name} = {law.signature}: {law.rule.text}")
     if name in PACKAGE_METRICS:
         metric = PACKAGE_METRICS[name]
         show_paragraph(f"metric {name} [{metric.unit}]: {metric.meaning}, of each {metric.scope.value}")

@@ -75,11 +75,11 @@ class Law(UncertainValue):
     @property
     def support(self) -> tuple[float, float]:
         """Lowest and highest value."""
-        return LAWS[self.kind].support(self.arguments)
+        return LAWS[self.kind].support(*self.arguments)
 
     def quantile(self, u: np.ndarray) -> np.ndarray:
         """Values below which the law lies with probabilities ``u`` in (0, 1), in the shape of ``u``."""
-        return LAWS[self.kind].quantile(self.arguments, u)
+        return LAWS[self.kind].quantile(u, *self.arguments)
 
     @property
     def median(self) -> float:
@@ -90,7 +90,7 @@ class Law(UncertainValue):
     def nominal(self) -> float:
         """Nominal value of a ``point`` law, or the median."""
         nominal = LAWS[self.kind].nominal
-        return self.median if nominal is None else float(nominal(self.arguments))
+        return self.median if nominal is None else float(nominal(*self.arguments))
 
     def spread(self, values: np.ndarray, share: np.ndarray | float) -> np.ndarray:
         """Values of the widened law: the distance of each value from the median is multiplied by ``share``.
@@ -224,12 +224,11 @@ def parse_law(table: TomlTable) -> Law:
         raise ValueError(f"the arguments of a {kind} may not be ranges, got {arguments}; give numbers")
     if law_kind.counts is not None and len(arguments) not in law_kind.counts:
         raise ValueError(f"{kind} takes {law_kind.signature}, got {len(arguments)} arguments {arguments}")
-    rule, is_kept = law_kind.rule
     ranges = tuple(ends_of_range(value) for value in arguments)
     ends = [[low] if low == high else [low, high] for low, high in ranges]
     corners = product(*ends)  # the rules are linear in the arguments, so that they hold in between
-    if not all(is_kept(corner) for corner in corners):
-        raise ValueError(f"{kind} {law_kind.signature}: {rule}, got {arguments}")
+    if not all(law_kind.rule.holds(*corner) for corner in corners):
+        raise ValueError(f"{kind} {law_kind.signature}: {law_kind.rule.text}, got {arguments}")
     middles = tuple(0.5 * low + 0.5 * high for low, high in ranges)
     return RangedLaw(kind, middles, ranges) if has_ranges else Law(kind, middles)
 

@@ -1,15 +1,18 @@
 """Parsing of a study's metrics and requirements into measures, each a metric over a window, and their bounds."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
+from dssc_jax.closed_loop.metrics.instants import Sample
 from dssc_jax.closed_loop.metrics.requirements import Requirement
 from dssc_jax.closed_loop.metrics.signal_metrics import SIGNAL_METRICS, SampledSignal, metrics_of_signals
 from dssc_jax.closed_loop.metrics.step_response import envelope_metric
 from dssc_jax.closed_loop.metrics.streaming import BRIEF, METRICS, Measure, Metric, Scope, suffixed
 from dssc_jax.closed_loop.metrics.window import Window, first_sample, samples_before_end
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.signals import Scalar
 from dssc_jax.study.available_metrics import AvailableMetrics, kind_name
 from dssc_jax.study.formula_requirements import Constants, formula_requirement, formula_signals
 from dssc_jax.study.margin_requirements import margin_requirement
@@ -17,14 +20,28 @@ from dssc_jax.study.schema import EnvelopeTable, RequirementTable, StudyTable
 
 ROUNDING = 1e-9  # relative tolerance of compared times
 
+
+class EnvelopeSignal(NamedTuple):
+    """A signal of a channel that an envelope can bound.
+
+    Args:
+        unit: Unit, in which y and u stand for the units of the channel's output and command.
+        meaning: Meaning in words.
+        value: Reads its value from a sample of the channel.
+    """
+
+    unit: str
+    meaning: str
+    value: Callable[[Sample], Scalar]
+
+
 ENVELOPE_SIGNALS = {
-    "y": ("y", "the output y", lambda sample: sample.e + sample.reference.y),
-    "e": ("y", "the output error e", lambda sample: sample.e),
-    "sigma": ("y/s", "sigma", lambda sample: sample.sigma),
-    "u": ("u", "the robust command u", lambda sample: sample.u),
-    "u_total": ("u", "the command u + u_n", lambda sample: sample.u_total),
+    "y": EnvelopeSignal("y", "the output y", lambda sample: sample.e + sample.reference.y),
+    "e": EnvelopeSignal("y", "the output error e", lambda sample: sample.e),
+    "sigma": EnvelopeSignal("y/s", "sigma", lambda sample: sample.sigma),
+    "u": EnvelopeSignal("u", "the robust command u", lambda sample: sample.u),
+    "u_total": EnvelopeSignal("u", "the command u + u_n", lambda sample: sample.u_total),
 }
-"""Unit, meaning and value of each signal that an envelope can bound; the value is that at a sample of a channel."""
 
 
 def parse_measures(
@@ -209,8 +226,8 @@ def envelope_requirements(config: StudyTable, available: AvailableMetrics) -> li
         channel_index = available.channels.index(channel)
         units = available.units[channel_index]
         kind = f"envelope_{table.signal}"
-        unit, meaning, signal = ENVELOPE_SIGNALS[table.signal]
-        metric = envelope_metric(signal, unit, units.named(meaning), table.lower, table.upper)
+        signal = ENVELOPE_SIGNALS[table.signal]
+        metric = envelope_metric(signal.value, signal.unit, units.named(signal.meaning), table.lower, table.upper)
         name = suffixed(kind, channel)
         names.append(name)
         count = names.count(name)  # several envelopes may bound one signal

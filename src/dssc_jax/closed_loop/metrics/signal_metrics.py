@@ -203,7 +203,7 @@ def require_free(part: str, name: str, names: Collection[str]) -> None:
         raise ConfigError(part, f"reports '{name}', which is another signal of the loop; give it a name of its own")
 
 
-def variation_update(signal: SignalReader, periodic: bool = False) -> Callable[[Variation, Instant, Window], Variation]:
+def variation_update(signal: SignalReader, periodic: bool = False) -> Update:
     """Return the ``update`` of a metric that adds up a signal's total variation.
 
     Args:
