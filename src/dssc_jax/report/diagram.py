@@ -204,8 +204,10 @@ def block_lines(study: Study, slot: str) -> list[str]:
     functions_kind = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""
     section = f"{section_of(study.config, slot)}."
     marks = [f"~ {last_field(name)}" for name in study.uncertain if name.startswith(section)]
-    swept_names = [follower for name in study.axes for follower in study.followers(name)]
-    for name in dict.fromkeys(swept_names):  # each once
+    swept_names: dict[str, None] = {}  # each once, in the order of the axes
+    for axis in study.axes:
+        swept_names |= dict.fromkeys(study.followers(axis))
+    for name in swept_names:
         if name.startswith(section):
             marks.append(f"⇄ {last_field(name)}")
     numbers = "  ".join(marks) if len(marks) <= 2 else f"~ {len(marks)} uncertain or swept"

@@ -132,18 +132,18 @@ class Law(UncertainValue):
         new_location = math.log(median) if self.logarithmic else median
         if self.kind == "loguniform":  # its arguments are values, the arguments of a lognormal law are logarithms
             values = np.log(values)
-        new_arguments = []
+        new_values = []
         for role, value in zip(LAWS[self.kind].roles, values, strict=True):
             match role:
                 case "l":  # a location
-                    new_arguments.append(float(new_location + share * (value - old_location)))
+                    new_values.append(float(new_location + share * (value - old_location)))
                 case "s":  # a scale
-                    new_arguments.append(float(share * value))
+                    new_values.append(float(share * value))
                 case _:  # a shape
-                    new_arguments.append(float(value))
+                    new_values.append(float(value))
         if self.kind == "loguniform":
-            new_arguments = np.exp(new_arguments).tolist()
-        return Law(self.kind, tuple(new_arguments))
+            new_values = np.exp(new_values).tolist()
+        return Law(self.kind, tuple(new_values))
 
     def __str__(self) -> str:
         """Family and arguments, such as ``uniform(0.8, 1.2)``."""

@@ -172,19 +172,20 @@ def channel_signals(
     Raises:
         ConfigError: The controller reports a signal under the name of another one.
     """
-    quantities = {
-        "y": (Quantity("y", "output y"), output_reader(index)),
-        "y_dot": (Quantity("y/s", "derivative y' of the output"), output_rate_reader(index)),
-        "y_ref": (Quantity("y", "desired output y_m"), desired_output_reader(index)),
-    }
-    for name, quantity in CHANNEL_SIGNALS.items():
-        quantities[name] = quantity, channel_field_reader(index, name)
-    for name in fields:
-        require_free("controller", name, {TIME, *quantities})
-        quantities[name] = reports.get(name, Quantity("1", name)), controller_signal_reader(index, name)
-    signals = {}
-    for name, (quantity, value) in quantities.items():
+    signals: dict[str, SampledSignal] = {}
+
+    def add(name: str, quantity: Quantity, value: SignalReader) -> None:
+        """Add a signal, with the channel's units and meanings in place of those of y and u."""
         signals[name] = SampledSignal(units.of(quantity.unit), units.named(quantity.meaning), value)
+
+    add("y", Quantity("y", "output y"), output_reader(index))
+    add("y_dot", Quantity("y/s", "derivative y' of the output"), output_rate_reader(index))
+    add("y_ref", Quantity("y", "desired output y_m"), desired_output_reader(index))
+    for name, quantity in CHANNEL_SIGNALS.items():
+        add(name, quantity, channel_field_reader(index, name))
+    for name in fields:
+        require_free("controller", name, {TIME, *signals})
+        add(name, reports.get(name, Quantity("1", name)), controller_signal_reader(index, name))
     return signals
 
 
