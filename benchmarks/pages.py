@@ -14,10 +14,10 @@ from pydantic import BaseModel
 
 from dssc_jax.analyses.loading import KINDS, class_of
 from dssc_jax.cli.application import app
-from dssc_jax.console.kinds import HEADS, KIND_COLUMNS, registries, rows_of
+from dssc_jax.console.kinds import HEADS, FieldRow, registries, rows_of
 from dssc_jax.results.fields import field_meanings
+from dssc_jax.study.available_metrics import PACKAGE_METRICS
 from dssc_jax.study.laws import LAWS
-from dssc_jax.study.measuring import PACKAGE_METRICS
 from dssc_jax.study.parsed_values import AXES
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.sections import FIXED_TABLES
@@ -97,7 +97,7 @@ def study_file() -> str:
     lines += ["## Laws", "", LAW_TEXT, ""]
     rows = []
     for name, law in LAWS.items():
-        rows.append((f"`{name}`", f"`{law.signature}`", law.rule[0], "yes" if law.log_density else "no"))
+        rows.append((f"`{name}`", f"`{law.signature}`", law.rule.text, "yes" if law.log_density else "no"))
     lines += table(("law", "arguments", "rule", "may be ranges"), rows)
     lines += ["## Axes of a sweep", "", f"`[sweep]` gives, for a dotted name, one of {', '.join(AXES)}.", ""]
     metrics = [(f"`{name}`", metric.unit, metric.meaning) for name, metric in PACKAGE_METRICS.items()]
@@ -108,7 +108,7 @@ def study_file() -> str:
             lines += [f'### kind = "{kind}"', "", f"{entry.summary}.", ""]
             rows = rows_of(entry)
             if rows:
-                lines += table(KIND_COLUMNS, ((f"`{row[0]}`", *row[1:]) for row in rows))
+                lines += table(FieldRow._fields, (row._replace(field=f"`{row.field}`") for row in rows))
     return "\n".join(lines).rstrip() + "\n"
 
 

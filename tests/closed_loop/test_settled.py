@@ -5,7 +5,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.closed_loop.metrics.streaming import Scope
-from dssc_jax.study.measuring import PACKAGE_METRICS
+from dssc_jax.study.available_metrics import PACKAGE_METRICS
 
 RULE = {"error": 0.02, "hold": 0.5, "after": 1.0}
 LOOP = {

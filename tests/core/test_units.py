@@ -6,7 +6,7 @@ import dssc_jax as dj
 from dssc_jax.console.kinds import registries, rows_of
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.units import ANGLE, POSITION, UNNAMED_UNITS, ChannelUnits, parse_unit
-from dssc_jax.study.measuring import PACKAGE_METRICS
+from dssc_jax.study.available_metrics import PACKAGE_METRICS
 
 MOTOR = ChannelUnits("rad/s", "V", "shaft speed", "armature voltage")
 PLANT = """

@@ -6,7 +6,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.exploration.positions import slider_positions, study_changes
-from dssc_jax.exploration.sliders import admissible_sliders, extent_around, sliders_of
+from dssc_jax.exploration.sliders import admissible_sliders, scale_around, sliders_of
 from dssc_jax.study.laws import LAWS as FAMILIES
 from dssc_jax.study.laws import Law
 
@@ -53,11 +53,11 @@ def test_what_cannot_be_moved():
     ],
 )
 def test_scales(value, quantity, expected):
-    assert extent_around(value, quantity) == expected
+    assert scale_around(value, quantity) == expected
 
 
 def test_ends_outside_are_not_reached():
-    low, high, _ = extent_around(0.9, Quantity("1", "a share", above=0.0, below=1.0))
+    low, high, _ = scale_around(0.9, Quantity("1", "a share", above=0.0, below=1.0))
     assert 0.0 < low < 0.9 < high < 1.0
 
 

@@ -109,7 +109,7 @@ def test_numbers_come_from_the_draws(results, ran):
         summary.write_text(said)
         _, (row,) = write_index(results)
         assert row.trouble == ""
-        assert row.worst == ran.failed.values.mean()
+        assert row.worst_probability == ran.failed.values.mean()
 
 
 def test_names_are_text_and_links_are_quoted(results):

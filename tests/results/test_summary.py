@@ -15,7 +15,7 @@ from dssc_jax.core.signals import Outcome
 from dssc_jax.plotting.thinning import PIXEL_COLUMNS
 from dssc_jax.report import html
 from dssc_jax.results import summary
-from dssc_jax.results.schema import in_memory
+from dssc_jax.results.schema import empty_dataset
 from dssc_jax.results.summary import BATCH_POINTS, most_violated
 from dssc_jax.statistics import DataDriven, FixedCount, Look, clopper_pearson, compare_failures
 
@@ -234,7 +234,7 @@ def many(points, draws=1):
     axis = {"controller.k_p": {"linspace": [0.5, 2.0, points]}}
     changes = {"sweep": axis, "draws": draws, "metrics.names": ["error_rms"], "requirement": STUDY["requirement"][:1]}
     study = dj.Study.from_table(STUDY).override(changes)
-    data = in_memory(study)
+    data = empty_dataset(study)
     failed = np.arange(points * draws).reshape(points, draws) % 3 == 0
     data["outcome"].values[...] = np.where(failed, Outcome.REQUIREMENT, Outcome.OK)
     data["slack_error_max_after_1"].values[...] = np.where(failed, -0.1, 0.1)
@@ -303,7 +303,7 @@ def test_figures_and_tables_of_many_points_are_no_larger(capsys):
 def test_a_large_map_is_shown_in_steps(capsys):
     axes = {"controller.k_p": {"linspace": [0.5, 2.0, 100]}, "controller.k_i": {"linspace": [0.1, 1.0, 60]}}
     study = dj.Study.from_table(STUDY).override({"sweep": axes, "draws": 1})
-    data = in_memory(study)
+    data = empty_dataset(study)
     data["outcome"].values[...] = Outcome.OK
     show_result(dj.Result(study, data, TIMED))
     told = capsys.readouterr().out

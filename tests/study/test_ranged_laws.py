@@ -25,9 +25,9 @@ def test_densities(case):
     kind, arguments = case
     low, high = ORACLES[case].ppf([0.01, 0.99])
     around = np.linspace(2.0 * low - high, 2.0 * high - low, 200)
-    values = np.concatenate([around, LAWS[kind].quantile(arguments, np.linspace(0.01, 0.99, 50))])
+    values = np.concatenate([around, LAWS[kind].quantile(np.linspace(0.01, 0.99, 50), *arguments)])
     expected = ORACLES[case].logpdf(values)
-    np.testing.assert_allclose(LAWS[kind].log_density(arguments, values), expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(LAWS[kind].log_density(values, *arguments), expected, rtol=1e-9, atol=1e-9)
 
 
 def test_parsing():

@@ -30,7 +30,7 @@ class PrintedOptions(Protocol):
         ...
 
 
-def free_folder(study: Study, kind: str, out: Path | None, *options: object, name: str = "") -> Path:
+def free_folder(study: Study, kind: str, out: Path | None, *options: object, ending: str = "") -> Path:
     """Return the folder for a new analysis, after a check that the analysis may be saved there.
 
     Args:
@@ -38,12 +38,12 @@ def free_folder(study: Study, kind: str, out: Path | None, *options: object, nam
         kind: Kind of the analysis.
         out: The folder that the user names; None: the usual folder, see :func:`usual_folder`.
         options: Options that change the answer; they enter the name of the usual folder.
-        name: What follows the study's name in that of the usual folder; empty: the kind.
+        ending: Ending of the usual folder's name, after the study's; empty: the kind.
 
     Raises:
         ConfigError: The folder holds something other than this analysis of the study.
     """
-    folder = out or usual_folder(study, name or kind, *options)
+    folder = out or usual_folder(study, ending or kind, *options)
     require_free_folder(folder, kind, study)
     return folder
 

@@ -10,7 +10,7 @@ from dssc_jax.cli.declarations.types import DrawsOptions, SeededOptions, StudyOp
 from dssc_jax.cli.output import say
 from dssc_jax.cli.parsing import parse_changes
 from dssc_jax.core import files
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, errors_in_file
 from dssc_jax.proofs.certificate_text import certificate_content
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result, load_result
@@ -60,10 +60,8 @@ def load_study(name: str, changes: Mapping[str, object], local: bool, native: bo
     if local:
         allow_imports(path.parent)
     changed_table = with_changes(read_toml(path), changes, str(path))
-    try:
+    with errors_in_file(str(path)):
         table = with_files(changed_table, path.parent)
-    except ConfigError as error:
-        raise error.within(str(path)) from None
     if native:
         announce_native("study", table)
         load_native(table, [path.parent])

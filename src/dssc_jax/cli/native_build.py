@@ -59,9 +59,10 @@ def build_fmu_library(fmu: ControllerFmu) -> tuple[bytes | None, str | None]:
         The library's content, and None; or None, and the reason why there is no library.
     """
     reason = no_library_reason()
-    program = compiler()
-    if reason is not None or program is None:
+    if reason is not None:
         return None, reason
+    program = compiler()
+    assert program is not None  # else this is the reason
     with TemporaryDirectory(prefix="dssc-jax-fmu-") as name:
         folder = Path(name)
         for file, text in fmu.sources.items():

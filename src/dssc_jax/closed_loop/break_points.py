@@ -48,11 +48,11 @@ def place_name(channel: str, point: BreakPoint) -> str:
     return f"{channel} {point}".strip()
 
 
-class AdditionParams(NamedTuple):
-    """Parameters of a sensor at a break point.
+class BreakPointSensorParams(NamedTuple):
+    """Parameters of a sensor at a break point (:func:`with_addition`).
 
     Args:
-        params: Parameters of the sensor itself.
+        params: Parameters of the sensor without the addition.
         addition: Signals that are added to the y and y' that it measures.
     """
 
@@ -61,18 +61,18 @@ class AdditionParams(NamedTuple):
 
 
 def with_addition(sensor: Sensor) -> Sensor:
-    """A sensor that reads the plant's measurement plus the addition in its :class:`AdditionParams`.
+    """A sensor that reads the plant's measurement plus the addition in its :class:`BreakPointSensorParams`.
 
     So a break point at a measurement is an input of the sensor's parameters.
     """
 
     def sense(
-        p: AdditionParams, z: State, m: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+        p: BreakPointSensorParams, z: State, m: Measurement, key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[State, Measurement]:
         """The sensor's next state and its reading of the sum; z: its state, m: the plant's measurement."""
         return sensor.step(p.params, z, Measurement(m.y + p.addition.y, m.y_dot + p.addition.y_dot), key, t, dt)
 
-    return Sensor(AdditionParams, lambda p, m, key: sensor.init(p.params, m, key), sense)
+    return Sensor(BreakPointSensorParams, lambda p, m, key: sensor.init(p.params, m, key), sense)
 
 
 def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
@@ -150,11 +150,11 @@ def sample_map(
         at_input, at_output, at_rate = additions.reshape(len(loop.channels), len(BreakPoint)).T
         sensors = []
         for i, sensor in enumerate(params.sensor):
-            sensors.append(AdditionParams(sensor, Measurement(at_output[i], at_rate[i])))
+            sensors.append(BreakPointSensorParams(sensor, Measurement(at_output[i], at_rate[i])))
         signal_sensors = []
         for signal, sensor in zip(loop.measures, params.signal_sensor, strict=True):
             addition = additions[places[signal.name]] if signal.name in places else 0.0
-            signal_sensors.append(AdditionParams(sensor, Measurement(addition, 0.0)))
+            signal_sensors.append(BreakPointSensorParams(sensor, Measurement(addition, 0.0)))
         with_inputs = params._replace(sensor=tuple(sensors), signal_sensor=tuple(signal_sensors))
         next_state, recorded = step(
             loop_with_inputs, with_inputs, key, state_from_vector(state), k, additions=tuple(at_input)

@@ -128,12 +128,12 @@ def count_in_band(loop: Loop, in_band: State, instant: Instant, k: Scalar) -> St
     return jnp.where(is_small, in_band + 1, 0)
 
 
-def is_running(loop: Loop, at: Progress) -> Scalar:
+def is_running(loop: Loop, progress: Progress) -> Scalar:
     """Whether a draw has neither ended early nor settled, so that the next sample still counts."""
-    is_ok = at.outcome == Outcome.OK
+    is_ok = progress.outcome == Outcome.OK
     if loop.settled is None:
         return is_ok
-    return is_ok & (at.in_band < periods_lasting(loop.settled.hold, loop.sample_time))
+    return is_ok & (progress.in_band < periods_lasting(loop.settled.hold, loop.sample_time))
 
 
 def make_sample_step(
@@ -159,29 +159,33 @@ def make_sample_step(
     """
     advance = held_between_samples(loop, params)
 
-    def sample(at: Progress) -> tuple[Progress, Recorded]:
+    def sample(progress: Progress) -> tuple[Progress, Recorded]:
         """The carry after one sample, and the signals of that sample."""
-        state, recorded = step(loop, params, key, at.state, at.k, advance)
-        accumulators = update_accumulators(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
+        state, recorded = step(loop, params, key, progress.state, progress.k, advance)
+        accumulators = update_accumulators(
+            measures, progress.accumulators, recorded.instant, progress.k, loop.sample_time
+        )
         outcome_now, is_ended = outcome_at_sample(recorded)
-        is_active = is_running(loop, at)
-        outcome = jnp.where(is_active, outcome_now, at.outcome)
+        is_active = is_running(loop, progress)
+        outcome = jnp.where(is_active, outcome_now, progress.outcome)
         is_completed = is_active & jnp.logical_and(recorded.finite, jnp.logical_not(is_ended))
-        in_band = count_in_band(loop, at.in_band, recorded.instant, at.k)
-        violations = watch(requirements, measures, accumulators, at.violations, at.k + 1, loop.steps, loop.sample_time)
+        in_band = count_in_band(loop, progress.in_band, recorded.instant, progress.k)
+        violations = watch(
+            requirements, measures, accumulators, progress.violations, progress.k + 1, loop.steps, loop.sample_time
+        )
         if freeze:
             state, in_band, violations = jax.tree.map(
                 partial(jnp.where, is_completed),
                 (state, in_band, violations),
-                (at.state, at.in_band, at.violations),
+                (progress.state, progress.in_band, progress.violations),
             )
-            accumulators = jax.tree.map(partial(select_number, is_completed), accumulators, at.accumulators)
+            accumulators = jax.tree.map(partial(select_number, is_completed), accumulators, progress.accumulators)
         return Progress(
-            k=at.k + 1,
+            k=progress.k + 1,
             state=state,
             accumulators=accumulators,
             outcome=outcome,
-            steps=at.steps + is_completed,
+            steps=progress.steps + is_completed,
             in_band=in_band,
             violations=violations,
         ), recorded
@@ -244,9 +248,9 @@ def simulate_draw(
     sample = make_sample_step(loop, params, key, measures, requirements, freeze)
     begin = initial_progress(loop, params, key, measures, requirements, margins)
 
-    def advance(at: Progress) -> Progress:
+    def advance(progress: Progress) -> Progress:
         """The carry after one sample, without a record of its signals."""
-        next_progress, _ = sample(at)
+        next_progress, _ = sample(progress)
         return next_progress
 
     if axis_name is None:
@@ -281,9 +285,9 @@ def simulate_recorded(
     """
     advance = make_sample_step(loop, params, key, measures, requirements, freeze=True)
 
-    def sample(at: Progress) -> tuple[Progress, Recorded]:
+    def sample(progress: Progress) -> tuple[Progress, Recorded]:
         """The carry after one sample, and the signals of a trajectory."""
-        next_progress, recorded = advance(at)
+        next_progress, recorded = advance(progress)
         return next_progress, recorded._replace(controlled=(), grounded=())  # no trajectory needs them
 
     first_progress = initial_progress(loop, params, key, measures, requirements, margins)
@@ -309,8 +313,8 @@ def conclude(loop: Loop, measures: tuple[Measure, ...], requirements: tuple[Requ
     violated_at = {}
     for requirement in requirements:
         samples = certain[requirement.label]  # completed when the violation became certain
-        is_before_end = ok | (samples <= end.steps)
-        time = jnp.where(is_before_end, (samples - 1) * loop.sample_time, failed_at)
+        is_certain_before_end = ok | (samples <= end.steps)
+        time = jnp.where(is_certain_before_end, (samples - 1) * loop.sample_time, failed_at)
         is_violated = violated(slacks[requirement.name])
         violated_at[requirement.violation_name] = jax.lax.stop_gradient(jnp.where(is_violated, time, jnp.nan))
     return Run(

@@ -37,9 +37,18 @@ def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State)
 def next_estimate(
     loop: Loop, params: LoopParams, key: jax.Array, plant: State, memory: State, k: Scalar
 ) -> tuple[State, State]:
-    """The plant's state with the error of the estimate at sample k, and the estimator's memory then.
+    """The state of plant and estimator at sample k, after the estimator's step; without one, both as they are.
 
-    Without an estimator, state and memory are returned as they are.
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        key: The draw's random key.
+        plant: State of the plant, which contains the error of the estimate.
+        memory: Memory of the estimator before its step.
+        k: Index of the sample.
+
+    Returns:
+        The plant's state with the new error, and the new memory.
     """
     estimation = estimation_of(loop, params)
     if estimation is None:

@@ -70,13 +70,27 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
         next_state, _ = step(loop, params, key, state, 0)
         require_repeatable(loop, params)
     require_form("plant", "project", "the state", state.plant, next_state.plant)
+    require_forms_of_steps(loop, state, next_state)
+
+
+def require_forms_of_steps(loop: Loop, state: LoopState, next_state: LoopState) -> None:
+    """Require that each part's ``step`` returns a state of the form that its state before the sample has.
+
+    Args:
+        loop: The models and the clock.
+        state: The loop's state before the first sample.
+        next_state: The state after the sample.
+
+    Raises:
+        ConfigError: A part returns another form.
+    """
     for channel, name in enumerate(loop.channels):
         for slot in SLOTS_OF_CHANNELS:
-            initial = getattr(state.channels[channel], slot)
-            next_part_state = getattr(next_state.channels[channel], slot)
-            require_form(place_of(slot, name), "step", "the state", initial, next_part_state)
-    for measured, initial, next_part_state in zip(loop.measures, state.signals, next_state.signals, strict=True):
-        require_form(place_of("sensor", measured.name), "step", "the state", initial, next_part_state)
+            before = getattr(state.channels[channel], slot)
+            after = getattr(next_state.channels[channel], slot)
+            require_form(place_of(slot, name), "step", "the state", before, after)
+    for measured, before, after in zip(loop.measures, state.signals, next_state.signals, strict=True):
+        require_form(place_of("sensor", measured.name), "step", "the state", before, after)
     require_form("wind", "step", "the state", state.wind, next_state.wind)
 
 
@@ -198,10 +212,12 @@ def check_results(loop: Loop, params: LoopParams) -> None:
     measurements, references = signals_at_start(loop, params)
     for channel, name in enumerate(loop.channels):
         require_form("plant", "measure", "the measurement", Measurement(0.0, 0.0), measurements[channel])
-        sensor, sensor_params = loop.sensor[channel], params.sensor[channel]
+        sensor = loop.sensor[channel]
+        sensor_params = params.sensor[channel]
         check_reading(sensor, sensor_params, measurements[channel], place_of("sensor", name), loop.sample_time)
         measurement = measurements[channel]._replace(signals=(0.0,) * len(loop.measures))
-        model, gains = loop.controller[channel], params.controller[channel]
+        model = loop.controller[channel]
+        gains = params.controller[channel]
         state = as_arrays(model.init(gains, measurement, references[channel]))
         result = model.step(gains, state, measurement, references[channel], loop.sample_time)
         place = place_of("controller", name)

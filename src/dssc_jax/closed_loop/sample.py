@@ -251,6 +251,26 @@ def metric_sample(
     )
 
 
+def next_input_states(
+    loop: Loop, params: LoopParams, key: jax.Array, states: tuple[State, ...], k: Scalar, t: Scalar
+) -> tuple[State, ...]:
+    """States of the disturbances at the plant's named inputs after sample k.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        key: The draw's random key.
+        states: States of these disturbances before the sample.
+        k: Index of the sample.
+        t: Its time [s].
+    """
+    next_states = []
+    for i, name in enumerate(loop.input_names):
+        input_key = loop.key_at(key, "input", name, k + 1)
+        next_states.append(loop.inputs[i].step(params.inputs[i], states[i], input_key, t, loop.sample_time))
+    return tuple(next_states)
+
+
 def step(
     loop: Loop,
     params: LoopParams,
@@ -308,10 +328,7 @@ def step(
     wind = loop.wind.step(params.wind, state.wind, loop.key_at(key, "wind", "", k + 1), t, dt)
     held_commands = as_arrays(tuple(commands))
     unmodelled_states = tuple(channel.unmodelled for channel in channels)
-    inputs = []
-    for i, name in enumerate(loop.input_names):
-        input_key = loop.key_at(key, "input", name, k + 1)
-        inputs.append(loop.inputs[i].step(params.inputs[i], state.inputs[i], input_key, t, dt))
+    inputs = next_input_states(loop, params, key, state.inputs, k, t)
     disturbances = (*(channel.disturbance for channel in channels), *inputs)
 
     def drive_at(plant: State, actuation: Signals, time: Scalar) -> PlantInput[Signals]:
@@ -326,7 +343,7 @@ def step(
     for i, channel in enumerate(channels):
         signal = outputs[i].y if has_measured_angle(loop, i) else ()
         channels[i] = channel._replace(unmodelled=next_unmodelled[i], reaching=reaching[i], signal=signal)
-    next_state = as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors, estimate))
+    next_state = as_arrays(LoopState(plant, wind, tuple(channels), inputs, signal_sensors, estimate))
     is_broken = loop.plant.broken(params.plant, next_state.plant)
     is_grounded = loop.mimo_plant.grounded(params.plant, state.plant, drive, t, dt)
     instant = Instant(t, dt, tuple(samples), info, signals)

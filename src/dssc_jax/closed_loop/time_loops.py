@@ -41,21 +41,21 @@ def until_all_ended(
         axis_name: Name of the axis that ``vmap`` maps over the draws.
     """
 
-    def any_running(at: C) -> Scalar:
+    def any_running(carry: C) -> Scalar:
         """1 if a draw of the axis is running, else 0; the same number for all draws."""
-        return jax.lax.pmax(jnp.where(is_active(at), 1, 0), axis_name)
+        return jax.lax.pmax(jnp.where(is_active(carry), 1, 0), axis_name)
 
-    def advance_block(carry: tuple[C, Scalar]) -> tuple[C, Scalar]:
+    def advance_block(carry_and_check: tuple[C, Scalar]) -> tuple[C, Scalar]:
         """The carry after the samples up to the next check, and the result of this check."""
-        at, _ = carry
-        end = jnp.minimum(at.k + CHECK_INTERVAL, steps)
-        next_at = jax.lax.while_loop(lambda at: at.k < end, sample, at)
-        return next_at, any_running(next_at)
+        carry, _ = carry_and_check
+        end = jnp.minimum(carry.k + CHECK_INTERVAL, steps)
+        next_carry = jax.lax.while_loop(lambda carry: carry.k < end, sample, carry)
+        return next_carry, any_running(next_carry)
 
-    def goes_on(carry: tuple[C, Scalar]) -> Scalar:
+    def goes_on(carry_and_check: tuple[C, Scalar]) -> Scalar:
         """Whether samples are left, and a draw was running at the last check."""
-        at, is_any_running = carry
-        return (at.k < steps) & (is_any_running > 0)
+        carry, is_any_running = carry_and_check
+        return (carry.k < steps) & (is_any_running > 0)
 
     last_carry, _ = jax.lax.while_loop(goes_on, advance_block, (first_carry, any_running(first_carry)))
     return last_carry
@@ -72,14 +72,14 @@ def scan_segments(sample: Callable[[C], C], first_carry: C, steps: int, segment:
             only, and computes the carries between two checkpoints again. None: it stores every carry.
     """
 
-    def repeat(advance: Callable[[C], C], at: C, count: int) -> C:
+    def repeat(advance: Callable[[C], C], carry: C, count: int) -> C:
         """The carry after ``count`` calls; a scan that records nothing (None)."""
-        end, _ = jax.lax.scan(lambda at, _: (advance(at), None), at, length=count)
+        end, _ = jax.lax.scan(lambda carry, _: (advance(carry), None), carry, length=count)
         return end
 
     if segment is None:
         return repeat(sample, first_carry, steps)
-    advance_segment = jax.checkpoint(lambda at: repeat(sample, at, segment))
+    advance_segment = jax.checkpoint(lambda carry: repeat(sample, carry, segment))
     last_checkpoint = repeat(advance_segment, first_carry, steps // segment)
     return repeat(sample, last_checkpoint, steps % segment)
 
@@ -97,13 +97,13 @@ def scan_recorded(sample: Callable[[C], tuple[C, R]], begin: C, steps: int, stri
         The carry at the end, and the records with leaves of shape (ceil(steps/stride),).
     """
 
-    def record_then_skip(at: C, _: None) -> tuple[C, R]:
+    def record_then_skip(carry: C, _: None) -> tuple[C, R]:
         """Record one sample, and advance to the next sample that is recorded."""
-        end = jnp.minimum(at.k + stride, steps)
-        at, record = sample(at)
-        return jax.lax.while_loop(lambda at: at.k < end, lambda at: sample(at)[0], at), record
+        end = jnp.minimum(carry.k + stride, steps)
+        carry, record = sample(carry)
+        return jax.lax.while_loop(lambda carry: carry.k < end, lambda carry: sample(carry)[0], carry), record
 
     if stride == 1:
-        return jax.lax.scan(lambda at, _: sample(at), begin, length=steps)
+        return jax.lax.scan(lambda carry, _: sample(carry), begin, length=steps)
     records = math.ceil(steps / stride)
     return jax.lax.scan(record_then_skip, begin, length=records)

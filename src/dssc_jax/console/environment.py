@@ -12,8 +12,8 @@ from dssc_jax.console.kinds import HEADS, KindDescription, MetricDescription, ki
 from dssc_jax.console.terminal import show_line, show_paragraph, show_table
 from dssc_jax.core import files
 from dssc_jax.engine import kernels
+from dssc_jax.study.available_metrics import PACKAGE_METRICS
 from dssc_jax.study.laws import LAWS
-from dssc_jax.study.measuring import PACKAGE_METRICS
 
 
 class Environment(TypedDict):

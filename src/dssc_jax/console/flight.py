@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 from dssc_jax.console.terminal import show_files, show_line, show_table, values_text
 from dssc_jax.flight_logs.comparison import NO_SPREAD, LogAnswer, LogComparison
@@ -19,8 +19,12 @@ MOST_MINIMA = 3
 LARGE_OUTSIDE_SHARE = 0.05
 """Share of samples outside the range of all draws above which the verdict names a signal."""
 
-Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]
-"""Head and rows of a table."""
+
+class Table(NamedTuple):
+    """A table of text."""
+
+    head: tuple[str, ...]
+    rows: list[tuple[str, ...]]
 
 
 def show_code(summary: dict[str, Any]) -> None:
@@ -152,7 +156,8 @@ def departure_table(answer: LogAnswer) -> Table:
             number_or_dash(signal.outside_to_the_end_since),
         )
         rows.append(row)
-    return ("signal", "largest departure", "outside the draws", "first at [s]", "to the end since [s]"), rows
+    head = ("signal", "largest departure", "outside the draws", "first at [s]", "to the end since [s]")
+    return Table(head, rows)
 
 
 def constant_signal_table(answer: LogAnswer) -> Table:
@@ -160,7 +165,7 @@ def constant_signal_table(answer: LogAnswer) -> Table:
     rows = []
     for name, largest in answer.without_spread.items():
         rows.append((f"{name} [{answer.signals[name].unit}]", f"{largest:.4g}"))
-    return ("the same in all draws, without a rank", "the log differs by at most"), rows
+    return Table(("the same in all draws, without a rank", "the log differs by at most"), rows)
 
 
 def show_next_flight(outlook: NextFlight, files: list[Path]) -> None:
@@ -190,8 +195,14 @@ def limit_table(answer: NextFlightAnswer) -> Table:
         limit = "too few flights" if metric.limit is None else f"{metric.limit:.4g}"
         row = (f"{name} [{metric.unit}]", limit, f"{metric.largest:.4g}", f"{metric.median_of_draws:.4g}", beyond)
         rows.append(row)
-    share = f"{100 * answer.probability:g} %"
-    return (f"the next flight, {share}", "at most", "largest so far", "median of draws", "draws beyond"), rows
+    head = (
+        f"the next flight, {100 * answer.probability:g} %",
+        "at most",
+        "largest so far",
+        "median of draws",
+        "draws beyond",
+    )
+    return Table(head, rows)
 
 
 def beyond_text(answer: NextFlightAnswer) -> str:
@@ -212,7 +223,8 @@ def counts_table(test: StudyTest) -> Table:
         counts = (refuting_count, test.flights_to_confirm[share])
         texts = ["too many" if count is None else str(count) for count in counts]
         rows.append((f"{100 * float(share):g} %", *texts))
-    return ("share of flights beyond", "flights that refute the study", "flights that show less, if it is right"), rows
+    head = ("share of flights beyond", "flights that refute the study", "flights that show less, if it is right")
+    return Table(head, rows)
 
 
 def show_rank(answer: LogAnswer, p_value: float) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import Enum
-from typing import Any, NamedTuple, TypeAlias, TypedDict, cast
+from typing import Any, NamedTuple, TypedDict, cast
 
 from dssc_jax.closed_loop.metrics.streaming import Metric
 from dssc_jax.console.terminal import show_paragraph, show_table
@@ -11,24 +11,38 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.units import POSITION, UNNAMED_UNITS
+from dssc_jax.study.available_metrics import PACKAGE_METRICS
 from dssc_jax.study.fields import FieldSpec, field_specs
 from dssc_jax.study.importing import import_object
 from dssc_jax.study.laws import LAWS
-from dssc_jax.study.measuring import PACKAGE_METRICS
 from dssc_jax.study.sections import params_of
 from dssc_jax.study.slots import REGISTRIES
-
-FieldRow: TypeAlias = tuple[str, str, str, str, str]
-"""A field of a kind: its name, and the texts of the other columns of :data:`KIND_COLUMNS`."""
 
 HEADS = {"trajectory": "reference, of a plant of several channels"}
 """Heads of the tables of a study that are not headed by their own name."""
 REQUIRED = "required"
 """Stands in the place of a default value where a field has none."""
-KIND_COLUMNS = ("field", "unit", "meaning", "admissible", "default")
-"""Columns of the table of a kind's fields."""
+
 LIST_REMARKS = {0: "", 1: " (a list)", 2: " (a list of rows)"}
 """Remark on a field of numbers, by the number of lists around each number."""
+
+
+class FieldRow(NamedTuple):
+    """A field of a kind, as a row of the table of the kind's fields; an empty text is an empty cell.
+
+    Args:
+        field: Dotted name of the field.
+        unit: Unit.
+        meaning: Meaning.
+        admissible: Admissible values.
+        default: Default value.
+    """
+
+    field: str
+    unit: str = ""
+    meaning: str = ""
+    admissible: str = ""
+    default: str = ""
 
 
 class KindDescription(TypedDict):
@@ -103,8 +117,9 @@ def description_of(entry: Entry) -> KindDescription:
 def columns_by_field(rows: Iterable[FieldRow]) -> dict[str, dict[str, str]]:
     """Return the cells of each row, by the name of the field and of the column."""
     columns = {}
-    for name, *values in rows:
-        columns[name] = dict(zip(KIND_COLUMNS[1:], values, strict=True))
+    for row in rows:
+        cells = row._asdict()
+        columns[cells.pop("field")] = cells
     return columns
 
 
@@ -119,10 +134,11 @@ def rows_of(entry: Entry) -> list[FieldRow]:
     """Return a row for each field of a kind; nested fields have dotted names."""
     params = params_of(entry)
     preset = getattr(entry.default_member, "defaults", None)
-    rows: list[FieldRow] = [(name, "", meaning, "", "") for name, meaning in entry.keys.items()]
+    rows = [FieldRow(name, meaning=meaning) for name, meaning in entry.keys.items()]
     rows += parameter_rows(params, "", preset)
     for name, values in options_of(entry).items():
-        rows.append((name, "", "option", " | ".join(map(str, values)), default_text(entry.default)))
+        admissible = " | ".join(map(str, values))
+        rows.append(FieldRow(name, meaning="option", admissible=admissible, default=default_text(entry.default)))
     return rows
 
 
@@ -150,37 +166,40 @@ def field_rows(spec: FieldSpec, name: str, default: object) -> Iterator[FieldRow
     """
     if isinstance(spec.mark, Slot):
         meaning = f"which part; a number alone is '{spec.mark.number}'" if spec.mark.number else "which part"
-        yield f"{name}.kind", "", meaning, " | ".join(spec.mark.registry), spec.mark.default or REQUIRED
+        admissible = " | ".join(spec.mark.registry)
+        yield FieldRow(f"{name}.kind", "", meaning, admissible, spec.mark.default or REQUIRED)
     elif spec.named_type is not None and isinstance(spec.mark, Quantity):
-        yield f"{name}.NAME", *field_columns(spec), "absent"
+        yield value_row(spec, f"{name}.NAME", "absent")
     elif spec.named_type is not None:
-        yield f"{name}.NAME", "", "a table for each, by its name in the study", "", "absent"
+        yield FieldRow(f"{name}.NAME", meaning="a table for each, by its name in the study", default="absent")
         yield from parameter_rows(spec.named_type, f"{name}.NAME.", None)
     elif spec.item_type is not None:
         presets = default if isinstance(default, tuple) else ()
         count = f"{len(presets)} tables" if presets else "none"
-        yield name, "", "a list of tables, each with the entries below", "", count
+        yield FieldRow(name, meaning="a list of tables, each with the entries below", default=count)
         for index, preset in enumerate(presets or (None,)):  # without defaults, one table shows the entries
             yield from parameter_rows(spec.item_type, f"{name}.{index}.", preset)
     elif spec.is_nested:
         if default is None:
-            yield name, "", "a table; absent: none of it", "", "absent"
+            yield FieldRow(name, meaning="a table; absent: none of it", default="absent")
         preset = None if default == REQUIRED else default
         yield from parameter_rows(spec.hint, f"{name}.", cast("NamedTuple | None", preset))
     else:
-        yield name, *field_columns(spec), default_text(default)
+        yield value_row(spec, name, default_text(default))
 
 
-def field_columns(spec: FieldSpec) -> tuple[str, str, str]:
-    """Return unit, meaning and admissible values of a field that is not a table."""
+def value_row(spec: FieldSpec, name: str, default: str) -> FieldRow:
+    """Return the row of a field that is not a table; arguments as those of :func:`field_rows`, in text."""
     quantity = spec.mark
     if isinstance(quantity, Quantity):
-        return quantity.unit, f"{quantity.meaning}{LIST_REMARKS[spec.depth]}", limits_text(quantity)
+        meaning = f"{quantity.meaning}{LIST_REMARKS[spec.depth]}"
+        return FieldRow(name, quantity.unit, meaning, limits_text(quantity), default)
     if spec.is_text:
-        return "", "text", ""
+        return FieldRow(name, meaning="text", default=default)
+    admissible = "true | false"
     if isinstance(spec.hint, type) and issubclass(spec.hint, Enum):
-        return "", "option", " | ".join(member.value for member in spec.hint)
-    return "", "option", "true | false"
+        admissible = " | ".join(member.value for member in spec.hint)
+    return FieldRow(name, meaning="option", admissible=admissible, default=default)
 
 
 def limits_text(quantity: Quantity) -> str:
@@ -258,9 +277,9 @@ def all_names(by_table: Mapping[str, Registry]) -> set[str]:
     for registry in by_table.values():
         names.update(registry)
         for entry in registry.values():
-            for field, *_ in rows_of(entry):
-                if "." not in field:
-                    names.add(field)
+            for row in rows_of(entry):
+                if "." not in row.field:
+                    names.add(row.field)
     return names
 
 
@@ -269,7 +288,7 @@ def fields_named(name: str) -> dict[tuple[str, str], list[FieldRow]]:
     rows_by_kind: dict[tuple[str, str], list[FieldRow]] = {}
     for slot, registry in registries().items():
         for kind, entry in registry.items():
-            rows = [row for row in rows_of(entry) if row[0] == name or row[0].startswith(f"{name}.")]
+            rows = [row for row in rows_of(entry) if row.field == name or row.field.startswith(f"{name}.")]
             if rows:
                 rows_by_kind[slot, kind] = rows
     return rows_by_kind
@@ -290,7 +309,7 @@ def described_name(name: str) -> dict[str, Any]:
     if fields_by_kind:
         description["fields"] = fields_by_kind
     if name in LAWS:
-        description["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule[0]}
+        description["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule.text}
     if name in PACKAGE_METRICS:
         description["metric"] = metric_description(PACKAGE_METRICS[name])
     return description
@@ -309,7 +328,7 @@ def show_kind(name: str) -> None:
     entries = entries_named(name)
     if name in LAWS:
         law = LAWS[name]
-        show_paragraph(f"law {name} = {law.signature}: {law.rule[0]}")
+        show_paragraph(f"law {name} = {law.signature}: {law.rule.text}")
     if name in PACKAGE_METRICS:
         metric = PACKAGE_METRICS[name]
         show_paragraph(f"metric {name} [{metric.unit}]: {metric.meaning}, of each {metric.scope.value}")
@@ -322,8 +341,8 @@ def show_kind(name: str) -> None:
 def show_rows(title: str, rows: Sequence[FieldRow]) -> None:
     """Print rows of fields under a title, and a remark if they have units that depend on the plant."""
     show_paragraph(title)
-    show_table(KIND_COLUMNS, rows)
-    if any(depends_on_plant(unit) for _, unit, *_ in rows):
+    show_table(FieldRow._fields, rows)
+    if any(depends_on_plant(row.unit) for row in rows):
         show_paragraph("y and u are the units of the plant's output and of its command")
 
 

@@ -38,7 +38,7 @@ def span_lines(log: LogContents) -> list[str]:
     """Lines on a log's duration, its system, and when the vehicle was armed."""
     system = ", ".join(log.system[name] for name in SYSTEM if name in log.system)
     duration = NO_TIMES if log.lacks_times else f"{log.duration:.4g} s"
-    lines = [f"{log.name}: {duration}{f', {system}' if system else ''}"]
+    lines = [f"{log.name}: {', '.join(filter(None, (duration, system)))}"]
     for segment in log.segments:
         lines.append(f"{segment.name}: {segment.begin:.4g} s to {segment.end:.4g} s")
     if log.topics and not log.segments:

@@ -228,8 +228,8 @@ def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
         head = (broken_at, f"worst of {answer.draws} draws", "worst found", "bounded", "found at")
         show_table(head, rows)
         show_line(growth_text(loop))
-    for name, joint in answer.multiloop.items():
-        show_line(worst_multiloop_text(name, joint, answer.draws))
+    for commands, worst_of_all in answer.multiloop.items():
+        show_line(worst_multiloop_text(commands, worst_of_all, answer.draws))
     effort = f"{answer.points:,} of at most {answer.most_points:,} points of the box were linearised"
     if answer.points >= HIGH_USE * answer.most_points:
         effort += "; --points raises the number, and may find worse values and nearer bounds"
@@ -242,11 +242,11 @@ def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
     show_files(files)
 
 
-def worst_multiloop_text(name: str, worst: MultiloopWorst, draws: int) -> str:
+def worst_multiloop_text(commands: str, worst: MultiloopWorst, draws: int) -> str:
     """Describe the worst disk margin for perturbations of all commands at once.
 
     Args:
-        name: Names of the commands.
+        commands: Names of the commands, in words.
         worst: Worst case over the box of the laws.
         draws: Number of draws.
     """
@@ -254,7 +254,7 @@ def worst_multiloop_text(name: str, worst: MultiloopWorst, draws: int) -> str:
     if math.isfinite(worst.bounded):
         bound = f"bounded by {ratio(worst.bounded)}"
     text = (
-        f"{name} at once: disk margin {ratio(worst.drawn)} in the worst of {draws} draws, worst found "
+        f"{commands} at once: disk margin {ratio(worst.drawn)} in the worst of {draws} draws, worst found "
         f"{ratio(worst.found)}, {bound}; found at {values_text(worst.numbers)}"
     )
     if worst.found == 0.0:

@@ -47,7 +47,8 @@ from dssc_jax.design.pid_gains import SLOWEST, pid
 from dssc_jax.design.regulators import lqg, state_feedback
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.study.components import parse_component
-from dssc_jax.study.fitting import nominal_params, setting_of
+from dssc_jax.study.fitting import setting_of
+from dssc_jax.study.laws import nominal_params
 from dssc_jax.study.study import Study
 
 INTEGRAL_RATIOS = (SLOWEST, 0.2, 0.4)

@@ -21,7 +21,7 @@ from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.design.linearised_plant import LinearisedPlant
 from dssc_jax.models.controllers.linear_quadratic import sampled_system
 from dssc_jax.study.actuators import acting_elements
-from dssc_jax.study.fitting import nominal_params
+from dssc_jax.study.laws import nominal_params
 from dssc_jax.study.study import Study
 
 

@@ -15,7 +15,8 @@ from dssc_jax.core.named import signals_in
 from dssc_jax.core.numerics import arithmetic, as_vector
 from dssc_jax.core.setting import NominalPlant
 from dssc_jax.core.signals import PlantInput, Scalar
-from dssc_jax.study.fitting import COMMAND_DISTURBANCE, nominal_params
+from dssc_jax.study.fitting import COMMAND_DISTURBANCE
+from dssc_jax.study.laws import nominal_params
 from dssc_jax.study.study import Study
 
 NEWTON_STEPS = 20

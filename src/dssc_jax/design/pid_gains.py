@@ -15,7 +15,7 @@ from dssc_jax.core.signals import Params, State
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.design.linear_plant import DesignProblem, LinearPlant
 from dssc_jax.study.actuators import acting_elements
-from dssc_jax.study.fitting import nominal_params
+from dssc_jax.study.laws import nominal_params
 
 PHASE_MARGIN = math.radians(60.0)
 LEAST_MARGIN = math.radians(45.0)

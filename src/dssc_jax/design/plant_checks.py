@@ -13,7 +13,7 @@ from dssc_jax.core.signals import PlantInput
 from dssc_jax.models.disturbances import NO_DISTURBANCE
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
-from dssc_jax.study.fitting import nominal_params
+from dssc_jax.study.laws import nominal_params
 
 POINTS = 4
 """Points near the plant's start at which it is examined."""

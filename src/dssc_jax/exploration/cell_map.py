@@ -23,6 +23,22 @@ if (cell != undefined) choose(source, null, drawsAt(source, names, names.map(nam
 """JavaScript that brushes the draws of a point that was clicked."""
 
 
+def point_columns(failed: np.ndarray) -> dict[str, Any]:
+    """Columns with the failure probability of each point, its interval, and both in words.
+
+    Args:
+        failed: Whether each draw failed, shape (points, draws).
+    """
+    draws = failed.shape[-1]
+    failures = failed.sum(-1)
+    low, high = clopper_pearson(failures, draws, CONFIDENCE).T
+    statements = []
+    for count, lower, upper in zip(failures, low, high, strict=True):
+        interval = f"[{rounded_probability(lower)}, {rounded_probability(upper)}]"
+        statements.append(f"{count:,} of {draws:,} draws fail: in {interval}")
+    return {"probability": failures / draws, "low": low, "high": high, "statement": statements}
+
+
 class CellMap:
     """The failures at the points of a sweep: over one axis as a curve with intervals, over two axes as a map.
 
@@ -40,17 +56,10 @@ class CellMap:
         self.names = list(axes)[:2]
         pooled_axes = list(axes)[2:]
         values = [axes[name] for name in self.names]
-        point_shape = [len(axis_values) for axis_values in values]
-        failed = table.result.failed.transpose(*self.names, *pooled_axes, "draw").values.reshape(*point_shape, -1)
-        draws = failed.shape[-1]
-        failures = failed.sum(-1).reshape(-1)
-        low, high = clopper_pearson(failures, draws, CONFIDENCE).T
-        statements = []
-        for count, lower, upper in zip(failures, low, high, strict=True):
-            interval = f"[{rounded_probability(lower)}, {rounded_probability(upper)}]"
-            statements.append(f"{count:,} of {draws:,} draws fail: in {interval}")
-        data: dict[str, Any] = {"probability": failures / draws, "low": low, "high": high, "statement": statements}
-        places = np.indices(point_shape).reshape(len(values), -1)  # index of each point along each axis
+        grid = [len(axis_values) for axis_values in values]
+        failed = table.result.failed.transpose(*self.names, *pooled_axes, "draw").values.reshape(*grid, -1)
+        data = point_columns(failed.reshape(math.prod(grid), -1))
+        places = np.indices(grid).reshape(len(values), -1)  # index of each point along each axis
         for index, name in enumerate(self.names):
             data[name] = np.asarray(values[index], np.float32)[places[index]]
             data["xy"[index]] = places[index]

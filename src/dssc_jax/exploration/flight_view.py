@@ -142,18 +142,10 @@ class FlightView:
         Args:
             paths: Positions of all draws along each axis [m], shape (draws, samples).
         """
-        lows = []
-        highs = []
-        for values in paths.values():
-            finite_values = values[np.isfinite(values)]
-            if not finite_values.size:
-                finite_values = np.zeros(1)
-            low, high = np.quantile(finite_values, [TAIL, 1.0 - TAIL])
-            lows.append(float(low))
-            highs.append(float(high))
-        extent = [high - low for low, high in zip(lows, highs, strict=True)]
-        span = 0.6 * max(*extent, 0.5)
-        centre = [0.5 * (low + high) for low, high in zip(lows, highs, strict=True)]
+        ranges = [usual_range(values) for values in paths.values()]
+        span = 0.6 * max(*(high - low for low, high in ranges), 0.5)
+        centre = [0.5 * (low + high) for low, high in ranges]
+        lowest, _ = ranges[2]
         scene: dict[str, Any] = {name: self.scene.data[name] for name in VIEW}  # the direction stays
         for axis, value in zip(POSITION, centre, strict=True):
             scene[f"c{axis}"] = [value]
@@ -163,7 +155,7 @@ class FlightView:
         half = 1.1 * span
         self.figure.x_range.update(start=-half * width / height, end=half * width / height)
         self.figure.y_range.update(start=-half, end=half)
-        self.floor.data = floor_lines(centre, lows[2], span)
+        self.floor.data = floor_lines(centre, lowest, span)
 
 
 def recorded_flights(study: Study, flights: Sequence[xr.Dataset]) -> LiveRun:
@@ -180,6 +172,15 @@ def recorded_flights(study: Study, flights: Sequence[xr.Dataset]) -> LiveRun:
     for signal in recorded_signals(study):
         results[SignalKey(signal)] = np.stack([flight[signal].values for flight in flights])
     return LiveRun(study, results, {}, flights[0]["t"].values)
+
+
+def usual_range(values: np.ndarray) -> tuple[float, float]:
+    """Return the ends of the range of nearly all positions along an axis [m]; 0 and 0 if none is finite."""
+    finite_values = values[np.isfinite(values)]
+    if not finite_values.size:
+        return 0.0, 0.0
+    low, high = np.quantile(finite_values, [TAIL, 1.0 - TAIL])
+    return float(low), float(high)
 
 
 def failure_sample(run: LiveRun, draw: int) -> int:

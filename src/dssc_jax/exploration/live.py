@@ -17,7 +17,7 @@ from dssc_jax.engine.batching import join_batches, values_of_draws
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.exploration.positions import Positions, study_changes
 from dssc_jax.exploration.sliders import CLOCK_SLIDER, Slider, admissible_sliders, live_extents, sliders_of
-from dssc_jax.exploration.worker import Stale
+from dssc_jax.exploration.worker import Stale, never_stale
 from dssc_jax.results.result import interval_method
 from dssc_jax.runs.recorded_draws import RecordedDraws, SignalKey
 from dssc_jax.statistics import CONFIDENCE, describe_probability
@@ -42,6 +42,11 @@ QUIET_SECONDS = 0.3
 """Time [s] after which a run shows its progress."""
 PROGRAMS = 6
 """Number of compiled programs that are kept, one for each sample time."""
+
+
+def ignore_notice(text: str) -> None:
+    """Do nothing with a description of the work."""
+
 
 Notice: TypeAlias = Callable[[str], None]
 """Called with a description of the work in progress."""
@@ -156,6 +161,13 @@ class LiveRun:
         return to_toml(self.study.table)
 
 
+def usual_draws(study: Study) -> int:
+    """Return the number of draws of a page: fewer for a vehicle, the study's if its draws are points of a design."""
+    if not study.config.independent:
+        return study.config.draws
+    return VEHICLE_DRAWS if len(study.loop.channels) > 1 else DRAWS
+
+
 class LiveStudy:
     """A study with sliders, compiled for all of their positions.
 
@@ -165,7 +177,7 @@ class LiveStudy:
     Args:
         study: The study.
         names: Numbers that can be moved; None: see :func:`dssc_jax.exploration.sliders.sliders_of`.
-        draws: Number of draws; None: 1,000, for a vehicle 64, or that of the study if its draws are points of a design.
+        draws: Number of draws; None: see :func:`usual_draws`.
 
     Raises:
         ConfigError: A number cannot be moved, or the number of draws is not admissible.
@@ -174,10 +186,7 @@ class LiveStudy:
     def __init__(self, study: Study, names: Sequence[str] | None = None, draws: int | None = None) -> None:
         """Make the forms of the study and its sliders; nothing is compiled before the first run."""
         self._is_large = len(study.loop.channels) > 1
-        default = VEHICLE_DRAWS if self._is_large else DRAWS
-        if not study.config.independent:
-            default = study.config.draws
-        self.swept = study.override({"draws": default if draws is None else draws})
+        self.swept = study.override({"draws": usual_draws(study) if draws is None else draws})
         self.ranged = self.swept.without_sweep()
         self.base = self.ranged.with_laws({name: law.middle for name, law in self.ranged.ranged_laws.items()})
         self.sliders: list[Slider] = admissible_sliders(self.base, sliders_of(self.swept, names))
@@ -205,9 +214,7 @@ class LiveStudy:
         """
         return self.study_at(positions).with_laws(self.ranged.ranged_laws)
 
-    def run(
-        self, positions: Positions, stale: Stale = lambda: False, progress: Notice = lambda _: None
-    ) -> LiveRun | None:
+    def run(self, positions: Positions, stale: Stale = never_stale, progress: Notice = ignore_notice) -> LiveRun | None:
         """Simulate all draws at positions of the sliders.
 
         Args:

@@ -11,7 +11,7 @@ import panel as pn
 from panel.io.document import hold
 from panel.viewable import Viewable
 
-from dssc_jax.exploration.worker import Stale, Work, Worker
+from dssc_jax.exploration.worker import Stale, Work, Worker, never_stale
 
 WORST_DRAW = "worst draw"
 MEDIAN_DRAW = "median draw"
@@ -139,7 +139,7 @@ class Page(ABC):
 def run_or_submit(task: Work, worker: Worker | None) -> None:
     """Submit a task to a worker; without a worker, run it at once."""
     if worker is None:
-        task(lambda: False)
+        task(never_stale)
     else:
         worker.submit(task)
 

@@ -33,6 +33,21 @@ SAMPLE_TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)
 FIRST = ("parameters", "controller.functions", "controller", "unmodelled", "actuator")
 """Parts of the loop whose numbers get sliders first; then uncertain numbers, then all others."""
 
+
+class SliderScale(NamedTuple):
+    """The scale of a slider.
+
+    Args:
+        low: Lowest position.
+        high: Highest position.
+        log: Whether the scale is logarithmic.
+    """
+
+    low: float
+    high: float
+    log: bool
+
+
 SliderEnds: TypeAlias = tuple[float, float]
 """Low and high end of a slider."""
 
@@ -193,8 +208,9 @@ def sliders_of_number(study: Study, name: str) -> list[Slider]:
         return sliders_of_ranges(number, number.value)
     if isinstance(number.value, Law):
         return sliders_of_law(number, number.value)
-    low, high, log = extent_around(number.value, number.quantity)
-    return [number_slider(number, "", low, high, number.value, log)] if low < number.value <= high else []
+    scale = scale_around(number.value, number.quantity)
+    is_inside = scale.low < number.value <= scale.high
+    return [number_slider(number, "", scale, number.value)] if is_inside else []
 
 
 def sliders_of_axis(number: Number, start: float, values: Sequence[float]) -> list[Slider]:
@@ -207,7 +223,7 @@ def sliders_of_axis(number: Number, start: float, values: Sequence[float]) -> li
     """
     low = min(*values, start)
     high = max(*values, start)
-    return [number_slider(number, "", low, high, start, low > 0.0)] if low < high else []
+    return [number_slider(number, "", SliderScale(low, high, log=low > 0.0), start)] if low < high else []
 
 
 def sample_time_slider(study: Study) -> Slider:
@@ -235,9 +251,8 @@ def sliders_of_law(number: Number, law: Law) -> list[Slider]:
     """Return the sliders of median and width of a law; none for a law that cannot be moved, such as a choice."""
     if not law.movable:
         return []
-    log = law.logarithmic
-    low, high, _ = extent_around(law.median, number.quantity)
-    if not math.isfinite(law.median) or not low < high:
+    scale = scale_around(law.median, number.quantity)._replace(log=law.logarithmic)
+    if not math.isfinite(law.median) or not scale.low < scale.high:
         return []
     narrowest, widest = WIDTHS
     width = Slider(
@@ -250,29 +265,35 @@ def sliders_of_law(number: Number, law: Law) -> list[Slider]:
         start=1.0,
         log=True,
     )
-    return [number_slider(number, MEDIAN, low, high, law.median, log), width]
+    return [number_slider(number, MEDIAN, scale, law.median), width]
 
 
 def sliders_of_ranges(number: Number, law: RangedLaw) -> list[Slider]:
     """Return a slider for each argument of a law that is a range, between the ends of the range."""
     sliders = []
-    for name, (low, high), middle in zip(LAWS[law.kind].argument_names, law.ranges, law.arguments, strict=False):
+    names = LAWS[law.kind].argument_names  # the last ones may be optional
+    for name, (low, high), middle in zip(names, law.ranges, law.arguments, strict=False):
         if low < high:
             meaning = f"{name} of the law of {number.quantity.meaning}"
             sliders.append(Slider(number.name, name, meaning, unit="", low=low, high=high, start=middle, log=False))
     return sliders
 
 
-def number_slider(number: Number, part: str, low: float, high: float, start: float, log: bool) -> Slider:
+def number_slider(number: Number, part: str, scale: SliderScale, start: float) -> Slider:
     """Return a slider of a number or of its law's median, with the number's name, meaning and unit.
 
-    The other arguments are those of :class:`Slider`.
+    Args:
+        number: The number.
+        part: As in :class:`Slider`.
+        scale: Ends and kind of the slider's scale.
+        start: Position at first.
     """
-    return Slider(number.name, part, number.quantity.meaning, number.quantity.unit, low, high, start, log)
+    quantity = number.quantity
+    return Slider(number.name, part, quantity.meaning, quantity.unit, scale.low, scale.high, start, scale.log)
 
 
-def extent_around(value: float, quantity: Quantity, reach: float = DEFAULT_REACH) -> tuple[float, float, bool]:
-    """Return low and high end of a slider around a value, and whether its scale is logarithmic.
+def scale_around(value: float, quantity: Quantity, reach: float = DEFAULT_REACH) -> SliderScale:
+    """Return the scale of a slider around a value, logarithmic for a positive number.
 
     A positive number moves between ``value / reach`` and ``value * reach``, zero by one unit to both sides, and a
     negative number by twice its magnitude. All stay within the admissible interval of the quantity.
@@ -299,7 +320,7 @@ def extent_around(value: float, quantity: Quantity, reach: float = DEFAULT_REACH
         high = min(high, quantity.below - margin)
     if quantity.at_most is not None:
         high = min(high, quantity.at_most)
-    return low, high, log and low > 0.0
+    return SliderScale(low, high, log and low > 0.0)
 
 
 def live_extents(sliders: Iterable[Slider]) -> dict[str, SliderEnds]:
@@ -336,10 +357,10 @@ def with_smaller_reach(study: Study, slider: Slider, reach: float) -> Slider:
     Args:
         study: The study, for the quantity of the number.
         slider: The slider.
-        reach: Ratio of the ends to a positive number, see :func:`extent_around`.
+        reach: Ratio of the ends to a positive number, see :func:`scale_around`.
     """
-    low, high, _ = extent_around(slider.start, study.quantities[slider.name], reach)
-    return slider._replace(low=max(low, slider.low), high=min(high, slider.high))
+    scale = scale_around(slider.start, study.quantities[slider.name], reach)
+    return slider._replace(low=max(scale.low, slider.low), high=min(scale.high, slider.high))
 
 
 def admits(study: Study, extents: Mapping[str, SliderEnds]) -> bool:

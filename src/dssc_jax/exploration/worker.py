@@ -13,6 +13,11 @@ Work: TypeAlias = Callable[[Stale], None]
 """Does the work of a request; may stop when the request is stale."""
 
 
+def never_stale() -> bool:
+    """Return False, for work that no newer request replaces."""
+    return False
+
+
 class Worker:
     """A thread that serves the newest of several requests; an older request becomes stale.
 
@@ -23,7 +28,7 @@ class Worker:
         """Begin without a thread and without requests."""
         self._changed = threading.Condition()  # guards the fields below; notified when one of them changes
         self._pending: Work | None = None  # the newest work, until it begins
-        self._number = 0  # of the newest request
+        self._newest = 0  # number of the newest request, counted from 1
         self._closed = False
         self._busy = False
         self._thread: threading.Thread | None = None
@@ -34,7 +39,7 @@ class Worker:
             if self._closed:
                 return
             self._pending = work
-            self._number += 1
+            self._newest += 1
             if self._thread is None:
                 self._thread = threading.Thread(target=self._serve, name="explore", daemon=True)
                 self._thread.start()
@@ -54,7 +59,7 @@ class Worker:
         with self._changed:
             self._closed = True
             self._pending = None
-            self._number += 1
+            self._newest += 1
             self._changed.notify_all()
 
     def _serve(self) -> None:
@@ -65,7 +70,7 @@ class Worker:
                 self._changed.notify_all()
                 self._changed.wait_for(lambda: self._pending is not None or self._closed)
                 work = self._pending
-                number = self._number
+                number = self._newest
                 if work is None:  # the worker is closed
                     return
                 self._pending = None
@@ -77,4 +82,4 @@ class Worker:
 
     def _is_stale(self, number: int) -> bool:
         """Whether a newer request than the one with this number has come, or the worker is closed."""
-        return self._number != number
+        return self._newest != number

@@ -1,7 +1,7 @@
 """Figure of a comparison: every controller's failure probability, and the paired differences."""
 
 from collections.abc import Mapping, Sequence
-from typing import TypedDict
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,6 +31,20 @@ class PairedDifference(TypedDict):
     interval: Sequence[float]
 
 
+class Marks(NamedTuple):
+    """The marks of one contest of the controllers.
+
+    Args:
+        colour: Their colour.
+        text: Their legend.
+        shift: Distance from the controllers' rows.
+    """
+
+    colour: str
+    text: str
+    shift: float
+
+
 @styled
 def comparison(compared: Analysis) -> Figure:
     """Plot each controller's failure probability, and its difference from the first controller on the same draws.
@@ -47,9 +61,10 @@ def comparison(compared: Analysis) -> Figure:
         contests.append((summary["tuned"], ORANGE, "tuned on equal budgets"))
     for index, (contest, colour, text) in enumerate(contests):
         shift = OFFSET * (2 * index - len(contests) + 1)  # 0 for one contest; -OFFSET and OFFSET for two
-        probability_panel(left, contest["controllers"], colour, text, shift)
-        rows = list(contest["controllers"])
-        difference_panel(right, contest["pairs"], rows, names[0], colour, shift)
+        marks = Marks(colour, text, shift)
+        probability_panel(left, contest["controllers"], marks)
+        pairs_with_first = [pair for pair in contest["pairs"] if pair["a"] == names[0]]
+        difference_panel(right, pairs_with_first, list(contest["controllers"]), marks)
     right.axvline(0.0, color=GREY, linewidth=1.0)
     left.set(xlabel="failure probability, 95 % interval", xlim=(-0.03, 1.03))
     left.set(yticks=range(len(names)), yticklabels=names)
@@ -64,43 +79,35 @@ def comparison(compared: Analysis) -> Figure:
     return figure
 
 
-def probability_panel(
-    ax: Axes, controllers: Mapping[str, FailureEstimate], colour: str, text: str, shift: float
-) -> None:
+def probability_panel(ax: Axes, controllers: Mapping[str, FailureEstimate], marks: Marks) -> None:
     """Draw each controller's failure probability with its Clopper-Pearson interval.
 
     Args:
         ax: Axes to draw into.
         controllers: Estimates by controller, from the top row down.
-        colour: Colour of the marks.
-        text: Legend of the marks.
-        shift: Distance of the marks from the controllers' rows.
+        marks: Colour, legend and place of the marks.
     """
     estimates = list(controllers.values())
     share = np.array([estimate["probability"] for estimate in estimates])
     ends = np.array([estimate["interval"] for estimate in estimates]).T
-    rows = np.arange(len(estimates)) + shift
-    ax.errorbar(share, rows, xerr=np.abs(ends - share), fmt="o", color=colour, capsize=3, label=text)
+    rows = np.arange(len(estimates)) + marks.shift
+    ax.errorbar(share, rows, xerr=np.abs(ends - share), fmt="o", color=marks.colour, capsize=3, label=marks.text)
 
 
-def difference_panel(
-    ax: Axes, pairs: Sequence[PairedDifference], rows: Sequence[str], first: str, colour: str, shift: float
-) -> None:
+def difference_panel(ax: Axes, pairs: Sequence[PairedDifference], controllers: Sequence[str], marks: Marks) -> None:
     """Draw the failure probability of each controller minus that of the first, with its interval.
 
     Args:
         ax: Axes to draw into.
-        pairs: Differences of all pairs of controllers.
-        rows: Controllers, from the top row down.
-        first: The controller with which the others are compared.
-        colour: Colour of the marks.
-        shift: Distance of the marks from the controllers' rows.
+        pairs: The first controller's failure probability minus that of each other one.
+        controllers: Controllers, from the top row down.
+        marks: Colour and place of the marks.
     """
     for pair in pairs:
-        if pair["a"] != first:
-            continue
-        difference = -pair["difference"]  # the pair is the first controller minus the other
-        high, low = (-bound for bound in pair["interval"])
-        row = rows.index(pair["b"]) + shift
+        low_of_pair, high_of_pair = pair["interval"]
+        difference = -pair["difference"]
+        low = -high_of_pair
+        high = -low_of_pair
+        row = controllers.index(pair["b"]) + marks.shift
         distances = [[difference - low], [high - difference]]
-        ax.errorbar([difference], [row], xerr=distances, fmt="o", color=colour, capsize=3)
+        ax.errorbar([difference], [row], xerr=distances, fmt="o", color=marks.colour, capsize=3)

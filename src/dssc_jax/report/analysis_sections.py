@@ -44,19 +44,17 @@ def tables(caption: str, content: Mapping[str, object], meanings: Meanings, plac
     for name, value in content.items():
         text = cell(value)
         if text is not None:
-            single_values.append((number_label(meanings, entry_key(meanings, place, name), name), text))
+            single_values.append((entry_label(meanings, place, name), text))
     if single_values:
         yield table(caption, ("number", "value"), single_values, words=2)
     for name, value in content.items():
         key = entry_key(meanings, place, name)
         group_caption = f"{caption}: {name.replace('_', ' ')}"
-        group_key = f"{key}[]" if isinstance(value, list) else f"{key}.NAME"
         rows = summary_rows(value)
         columns = columns_of(rows)
         if columns:
-            labels = {}
-            for column in columns:
-                labels[column] = number_label(meanings, entry_key(meanings, group_key, column), column)
+            key_of_rows = f"{key}[]" if isinstance(value, list) else f"{key}.NAME"
+            labels = {column: entry_label(meanings, key_of_rows, column) for column in columns}
             yield row_table(group_caption, rows, labels)
         elif isinstance(value, Mapping):
             yield from tables(group_caption, value, meanings, key)
@@ -96,10 +94,10 @@ def entry_key(meanings: Meanings, place: str, name: str) -> str:
     return place or name
 
 
-def number_label(meanings: Meanings, key: str, name: str) -> h.Node:
-    """The name of a number; below it meaning and unit, if the number has them."""
+def entry_label(meanings: Meanings, place: str, name: str) -> h.Node:
+    """The name of an entry, which :func:`entry_key` looks up; below it meaning and unit, if the entry has them."""
     label = name.replace("_", " ")
-    field = meanings.get(key)
+    field = meanings.get(entry_key(meanings, place, name))
     return label if field is None else number_with_meaning(label, field.meaning, field.unit)
 
 

@@ -204,8 +204,10 @@ def block_lines(study: Study, slot: str) -> list[str]:
     functions_kind = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""
     section = f"{section_of(study.config, slot)}."
     marks = [f"~ {last_field(name)}" for name in study.uncertain if name.startswith(section)]
-    swept_names = [follower for name in study.axes for follower in study.followers(name)]
-    for name in dict.fromkeys(swept_names):  # each once
+    swept_names: dict[str, None] = {}  # each once, in the order of the axes
+    for axis in study.axes:
+        swept_names |= dict.fromkeys(study.followers(axis))
+    for name in swept_names:
         if name.startswith(section):
             marks.append(f"⇄ {last_field(name)}")
     numbers = "  ".join(marks) if len(marks) <= 2 else f"~ {len(marks)} uncertain or swept"
@@ -230,11 +232,11 @@ def part_kind(study: Study, slot: str) -> str:
 
 def present_kinds(study: Study, slot: str) -> list[str]:
     """The kinds of a part that do something, each once: of all channels, of single channels, of measured signals."""
-    table = getattr(study.config, section_of(study.config, slot))
-    parts = table
-    if isinstance(table, dict):
-        parts_of_channels = [part for part in table.values() if isinstance(part, dict)]
-        parts = [table, *parts_of_channels]
+    section = getattr(study.config, section_of(study.config, slot))
+    parts = section
+    if isinstance(section, dict):  # the part of all channels, with tables of single channels in it
+        parts_of_channels = [part for part in section.values() if isinstance(part, dict)]
+        parts = [section, *parts_of_channels]
     kinds = dict.fromkeys(part.get("kind") for part in parts)
     return [kind for kind in kinds if kind is not None and kind not in ABSENT]
 

@@ -1,7 +1,8 @@
 """An index page of the results and analyses in a folder, each with its report."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -34,7 +35,7 @@ class IndexRow(NamedTuple):
         size: Numbers of draws and points of a result, in words.
         probability: Failure probability of a run; failure probabilities of a sweep's best and worst point.
         interval: Interval of the failure probability of a run.
-        worst: Failure probability of the worst point, by which the index is sorted.
+        worst_probability: Failure probability of the worst point, by which the index is sorted; -1 for an analysis.
         trouble: Reason why the folder cannot be shown; empty if it can.
     """
 
@@ -46,23 +47,26 @@ class IndexRow(NamedTuple):
     size: str = ""
     probability: str = ""
     interval: str = ""
-    worst: float = -1.0
+    worst_probability: float = -1.0
     trouble: str = ""
 
 
-def folders(root: Path) -> Iterator[Path]:
+def indexed_folders(root: Path) -> Iterator[Path]:
     """All folders of results and analyses below a folder, and its direct subfolders that contain no such folder."""
     for child in sorted(path for path in root.iterdir() if path.is_dir()):
-        if child.is_symlink():
-            yield child
-            continue
-        result_folders = []
-        for place, subfolders, file_names in os.walk(child):
-            if not DESCRIPTIONS.isdisjoint(file_names):
-                result_folders.append(Path(place))
-                subfolders.clear()
-            subfolders[:] = sorted(set(subfolders) - {store.DATA})  # os.walk visits these
+        result_folders = [] if child.is_symlink() else folders_with_results(child)
         yield from result_folders or [child]
+
+
+def folders_with_results(top: Path) -> list[Path]:
+    """The folders of results and analyses at and below a folder; those within another one are left out."""
+    result_folders = []
+    for place, subfolders, file_names in os.walk(top):
+        if not DESCRIPTIONS.isdisjoint(file_names):
+            result_folders.append(Path(place))
+            subfolders.clear()
+        subfolders[:] = sorted(set(subfolders) - {store.DATA})  # os.walk visits these
+    return result_folders
 
 
 def index_row(folder: Path, on_report: Callable[[Path], None]) -> IndexRow:
@@ -101,16 +105,13 @@ def with_probability(row: IndexRow, points: list[SummaryRow]) -> IndexRow:
         points: Summaries of the result's points.
     """
     best, worst = extreme_points(points)
+    row = row._replace(worst_probability=worst["probability"])
     lowest = probability_text(best["probability"], best["interval"])
     draws = count_text(best["draws"], "draw")
     if len(points) == 1:  # a run
-        return row._replace(
-            size=draws, probability=lowest, interval=interval(best["interval"]), worst=worst["probability"]
-        )
+        return row._replace(size=draws, probability=lowest, interval=interval(best["interval"]))
     highest = probability_text(worst["probability"], worst["interval"])
-    return row._replace(
-        size=f"{draws} at {len(points):,} points", probability=f"{lowest} to {highest}", worst=worst["probability"]
-    )
+    return row._replace(size=f"{draws} at {len(points):,} points", probability=f"{lowest} to {highest}")
 
 
 def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: None) -> tuple[Path, list[IndexRow]]:
@@ -129,20 +130,28 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
     top = Path(root)
     if not top.is_dir():
         raise ConfigError(str(top), "is not a folder of results")
-    rows = [index_row(place, made) for place in folders(top)]
+    rows = [index_row(place, made) for place in indexed_folders(top)]
     target = top / INDEX
     write_page(index_html(top, rows), target)
     return target, rows
 
 
+def sorted_rows(rows: Iterable[IndexRow]) -> list[IndexRow]:
+    """The rows by study, then by date with the newest first, then by the failure probability of the worst point.
+
+    Each sort keeps the order of rows that are equal for it, so the last key of the order is sorted first.
+    """
+    by_probability = sorted(rows, key=attrgetter("worst_probability"))
+    by_date = sorted(by_probability, key=attrgetter("started"), reverse=True)
+    return sorted(by_date, key=attrgetter("study"))
+
+
 def index_html(root: Path, rows: list[IndexRow]) -> str:
-    """The index as a page, sorted by study, then by date with the newest first, then by probability."""
-    usable = sorted((row for row in rows if not row.trouble), key=lambda row: row.worst)
-    usable.sort(key=lambda row: row.started, reverse=True)
-    usable.sort(key=lambda row: row.study)
-    unusable = [row for row in rows if row.trouble]
-    runs = [row for row in usable if not row.kind]
-    analyses = [row for row in usable if row.kind]
+    """The index as a page: runs, analyses, and the folders that cannot be shown, with the reason."""
+    shown = sorted_rows(row for row in rows if not row.trouble)
+    not_shown = [row for row in rows if row.trouble]
+    runs = [row for row in shown if not row.kind]
+    analyses = [row for row in shown if row.kind]
     body: list[h.Node] = []
     counts = []
     if runs:
@@ -151,8 +160,8 @@ def index_html(root: Path, rows: list[IndexRow]) -> str:
     if analyses:
         body.append(section_element(Section("analyses", "Analyses", analysis_table(root, analyses))))
         counts.append(f"{len(analyses):,} {'analysis' if len(analyses) == 1 else 'analyses'}")
-    if unusable:
-        body.append(section_element(Section("damaged", "Not shown", trouble_table(root, unusable))))
+    if not_shown:
+        body.append(section_element(Section("damaged", "Not shown", trouble_table(root, not_shown))))
     lead = f"{' and '.join(counts) or 'No result'} in {root.resolve().name}"
     return page(f"Results in {root.resolve().name}", [h.h1["Results"], h.p(".lead")[lead]], body, [])
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.core import files
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, errors_in_file
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.results.array_files import ArrayFiles
 from dssc_jax.results.digests import digest_of
@@ -174,26 +174,37 @@ def read_description(folder: Path, kind: str) -> Manifest:
     """
     path = folder / f"{kind}.json"
     try:
-        description = json.loads(files.read_text(path))
+        content = json.loads(files.read_text(path))
     except OSError as error:
         rule = f"holds no {kind} analysis: {path.name} cannot be read ({error.strerror})"
         raise ConfigError(str(folder), rule) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
-    description = unseal(path, description)
+    description = unseal(path, content)
+    require_entries(path, description)
+    return description
+
+
+def require_entries(path: Path, description: JsonObject) -> None:
+    """Require that a description has all entries of :data:`REQUIRED_ENTRIES`, and a study that matches its hash.
+
+    Args:
+        path: Its file, for messages.
+        description: The description.
+
+    Raises:
+        ConfigError: An entry is missing or of another type, or the study does not match.
+    """
     invalid_entries = []
     for name, entry_type in REQUIRED_ENTRIES.items():
         if not isinstance(description.get(name), entry_type):
             invalid_entries.append(name)
     if invalid_entries:
         raise ConfigError(str(path), f"is damaged: it has no {', '.join(invalid_entries)}")
-    try:
+    with errors_in_file(str(path)):
         require_shallow(description["study"])
-    except ConfigError as error:
-        raise error.within(str(path)) from None
     if hash_of(description["study"]) != description["hash"]:
         raise ConfigError(str(path), "is damaged: its study does not match its hash")
-    return description
 
 
 def read_analysis(folder: Path, kind: str, trust_code: bool) -> StoredAnalysis:

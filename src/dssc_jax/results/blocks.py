@@ -116,7 +116,7 @@ class Chunks:
             for file in files:
                 if file.is_dir():
                     raise ConfigError(str(file), "is damaged: it is a folder, not a chunk; remove it")
-            ranges = self._ranges(block)
+            ranges = self._digested_ranges(block)
             if self._altered_variable(block, ranges, self.arrays):
                 ranges = []  # the whole block is computed again
             remaining = missing_part(block, ranges)
@@ -146,7 +146,7 @@ class Chunks:
             ConfigError: Digests are missing, since the run did not finish.
         """
         blocks = self.layout.blocks()
-        missing = sum(lanes_in(missing_part(block, self._ranges(block))) for block in blocks)
+        missing = sum(lanes_in(missing_part(block, self._digested_ranges(block))) for block in blocks)
         if missing:
             raise incomplete_error(self.folder, missing, sum(map(lanes_in, blocks)))
 
@@ -162,15 +162,15 @@ class Chunks:
         """
         values = {name: dataset[name].values for name in self.arrays}
         for block in self.layout.blocks():
-            altered_variable = self._altered_variable(block, self._ranges(block), values)
+            altered_variable = self._altered_variable(block, self._digested_ranges(block), values)
             if altered_variable:
                 rule = f"is damaged: block {self.layout.index(block)} does not hold what was written; {RESUME_HINT}"
                 raise ConfigError(str(self.folder / DATA / altered_variable), rule)
         if seal is not None and seal != digest_of_all(self.folder, self.layout):
             raise ConfigError(str(self.folder / DIGESTS), f"is damaged: these are not the run's digests; {RESUME_HINT}")
 
-    def _ranges(self, block: Block) -> list[DrawRange]:
-        """The digests of a block, if they cover its draws from the first on without a gap; otherwise an empty list."""
+    def _digested_ranges(self, block: Block) -> list[DrawRange]:
+        """Ranges of a block's draws with stored digests; empty unless they follow each other from the first draw on."""
         ranges = stored_ranges(self.folder, self.layout.index(block))
         draws = block[-1]
         end = draws.start  # of the draws that are covered so far

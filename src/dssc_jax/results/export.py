@@ -14,7 +14,8 @@ import numpy as np
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Layout, lanes_of
+from dssc_jax.engine.batching import Block, Layout, lanes_of
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import OUTCOME, coordinates, outcome_codes, variables
@@ -183,22 +184,27 @@ def lane_rows(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
     """
     import pandas as pd
 
+    codes = outcome_codes(result.study)
+    for block in Layout.of(result.study, TABLE_ROWS).blocks():
+        columns: dict[str, Any] = dict(lane_columns(result, block))
+        code_indices = np.searchsorted(list(codes), columns["outcome"])
+        columns[MEANING] = pd.Categorical.from_codes(code_indices, categories=list(codes.values()))
+        yield pd.DataFrame(columns, columns=names)
+
+
+def lane_columns(result: Result, block: Block) -> Arrays:
+    """The numbers and results of the lanes of a block by name, shape (lanes,) each."""
     study = result.study
     data = result.dataset
-    codes = outcome_codes(study)
-    for block in Layout.of(study, TABLE_ROWS).blocks():
-        draws_of_block = block[-1]
-        law_values = {name: data[name].values[draws_of_block] for name in study.laws}
-        numbers, draws = lanes_of(study, block, law_values)
-        table: dict[str, Any] = {"draw": draws}
-        for name in (*study.axes, *study.laws):
-            table[name] = numbers[name]
-        for name in variables(study):
-            if name not in study.laws:
-                table[name] = data[name].values[block].reshape(-1)
-        code_indices = np.searchsorted(list(codes), table["outcome"])
-        table[MEANING] = pd.Categorical.from_codes(code_indices, categories=list(codes.values()))
-        yield pd.DataFrame(table, columns=names)
+    law_values = {name: data[name].values[block[-1]] for name in study.laws}
+    numbers, draws = lanes_of(study, block, law_values)
+    columns = {"draw": draws}
+    for name in (*study.axes, *study.laws):
+        columns[name] = numbers[name]
+    for name in variables(study):
+        if name not in study.laws:
+            columns[name] = data[name].values[block].reshape(-1)
+    return columns
 
 
 def write_csv(result: Result | Analysis, file: IO[bytes]) -> None:

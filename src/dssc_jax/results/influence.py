@@ -1,5 +1,7 @@
 """Swept parameters that affect no requirement, and the influence of uncertain parameters on failure."""
 
+from operator import itemgetter
+
 import numpy as np
 import xarray as xr
 
@@ -61,9 +63,9 @@ def idle_axis_text(result: Result, axis: str) -> str:
     if max(changes.values()) <= IDLE_CHANGE:
         limit = f"{100 * IDLE_CHANGE:g} %"
         return f"over {axis} no verdict changes, and no quantile (5, 50, 95 %) of a metric by more than {limit}"
-    largest = max(changes, key=lambda name: changes[name])
-    share = f"by {changes[largest]:.0%}" if np.isfinite(changes[largest]) else "in some draws from finite to infinite"
-    return f"{axis} is idle here: no verdict and no required metric changes over it (most changes {largest}, {share})"
+    metric, change = max(changes.items(), key=itemgetter(1))
+    extent = f"by {change:.0%}" if np.isfinite(change) else "in some draws from finite to infinite"
+    return f"{axis} is idle here: no verdict and no required metric changes over it (most changes {metric}, {extent})"
 
 
 def equal_count_bins(values: np.ndarray) -> list[np.ndarray]:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from dssc_jax.core import files
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, errors_in_file
 from dssc_jax.core.files import PARTIAL
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.engine.batching import Layout
@@ -114,10 +114,8 @@ def read_manifest(folder: Path) -> Manifest:
         if not isinstance(manifest.get(name), dict):
             raise ConfigError(str(path), f"is damaged: {name} is not a table")
     require_valid_fields(path, manifest)
-    try:
+    with errors_in_file(str(path)):
         require_shallow(manifest["study"])
-    except ConfigError as error:
-        raise error.within(str(path)) from None
     if manifest.get("hash") != hash_of(manifest["study"]):
         raise ConfigError(str(path), "is damaged: its study does not match its hash")
     return manifest
@@ -214,20 +212,20 @@ def is_list_of_counts(value: object) -> bool:
     return all(isinstance(count, int) and not isinstance(count, bool) and count > 0 for count in value)
 
 
-def differences(old: object, new: object, path: str = "") -> list[str]:
+def differences(stored: object, present: object, path: str = "") -> list[str]:
     """Lines that tell the differences between two nested tables, one for each value that differs.
 
     Args:
-        old: The stored table or value.
-        new: The present table or value.
+        stored: The stored table or value.
+        present: The present table or value.
         path: Dotted name of both; empty for the outermost tables.
     """
-    if isinstance(old, dict) and isinstance(new, dict):
+    if isinstance(stored, dict) and isinstance(present, dict):
         lines = []
-        for name in sorted(old.keys() | new.keys()):
-            lines += differences(old.get(name), new.get(name), f"{path}.{name}" if path else name)
+        for name in sorted(stored.keys() | present.keys()):
+            lines += differences(stored.get(name), present.get(name), f"{path}.{name}" if path else name)
         return lines
-    return [] if old == new else [f"{path}: {old!r} there, {new!r} here"]
+    return [] if stored == present else [f"{path}: {stored!r} there, {present!r} here"]
 
 
 def listed(lines: list[str], limit: int = 3) -> str:
@@ -285,13 +283,13 @@ def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: b
         raise ConfigError(str(folder), f"{rule}; start over")
     if manifest["hash"] == study.hash:
         return
-    old = manifest["study"]
+    stored_table = manifest["study"]
     if not asks_for_more_draws(manifest, study):
-        lines = listed(differences(old, study.table))
+        lines = listed(differences(stored_table, study.table))
         raise ConfigError(
             str(folder), f"holds results of another study ({lines}); choose another `out`, nothing was written"
         )
-    draws = old.get("draws", 1)
+    draws = stored_table.get("draws", 1)
     requested_draws = study.config.draws
     if study.config.sampling not in EXTENSIBLE:
         raise ConfigError(
@@ -311,9 +309,9 @@ def asks_for_more_draws(manifest: Manifest, study: Study) -> bool:
     """Whether a study differs from a manifest's study only by a larger number of draws."""
     if manifest["hash"] == study.hash:
         return False
-    old = manifest["study"]
-    draws = old.get("draws", 1)
-    lines = differences(old, study.table)
+    stored_table = manifest["study"]
+    draws = stored_table.get("draws", 1)
+    lines = differences(stored_table, study.table)
     only_draws_differ = len(lines) == 1 and lines[0].startswith("draws:")
     return only_draws_differ and isinstance(draws, int) and study.config.draws > draws
 
@@ -332,14 +330,14 @@ def code_entries(study: Study) -> Manifest:
     return {"code": code, "described": describe_study(study, certified, reason)}
 
 
-def machinery_differences(old: Manifest, new: Manifest) -> list[str]:
+def machinery_differences(stored: Manifest, present: Manifest) -> list[str]:
     """Lines that tell the differences between two manifests that may change the last digits of a result.
 
     They concern the versions of numerical packages, device, compiler settings and the user's code. A file of code that
-    the old manifest does not name is no difference: older manifests lack the modules that the user's modules import.
+    the stored manifest does not name is no difference: older manifests lack the modules that the user's modules import.
     """
-    known_code = {name: module for name, module in new.get("code", {}).items() if name in old.get("code", {})}
-    return differences(machinery(old), machinery({**new, "code": known_code}))
+    known_code = {name: module for name, module in present.get("code", {}).items() if name in stored.get("code", {})}
+    return differences(machinery(stored), machinery({**present, "code": known_code}))
 
 
 def machinery(manifest: Manifest) -> dict[str, object]:
@@ -353,18 +351,18 @@ def machinery(manifest: Manifest) -> dict[str, object]:
     }
 
 
-def require_same_machinery(folder: Path, old: Manifest, new: Manifest) -> None:
+def require_same_machinery(folder: Path, stored: Manifest, present: Manifest) -> None:
     """Refuse to continue a run with other versions, device, compiler settings or code than it began with.
 
     Args:
         folder: The results folder, for messages.
-        old: Manifest of the run that began.
-        new: Manifest of the run that resumes it.
+        stored: Manifest of the run that began.
+        present: Manifest of the run that resumes it.
 
     Raises:
         ConfigError: One of them differs, which may change rounding.
     """
-    lines = machinery_differences(old, new)
+    lines = machinery_differences(stored, present)
     if lines:
         raise ConfigError(
             str(folder),

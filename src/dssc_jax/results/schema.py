@@ -76,35 +76,38 @@ def variables(study: Study) -> dict[str, Variable]:
     """
     grid = (*study.axes, "draw")
     real = f"float{study.config.loop.precision}"
-    by_name = {}
+    variable_of = {}
     for name, law in study.laws.items():
         quantity = study.quantities[name]
         attributes = {"units": quantity.unit, "long_name": quantity.meaning, "law": str(law)}
-        by_name[name] = Variable(("draw",), "float64", attributes)
+        variable_of[name] = Variable(("draw",), "float64", attributes)
     for measure in study.measures:
         attributes = unit_and_meaning(measure.unit, measure.meaning + measure.window_text)
-        by_name[measure.name] = Variable(grid, real, attributes)
+        variable_of[measure.name] = Variable(grid, real, attributes)
     for requirement in study.requirements:
         attributes = unit_and_meaning(requirement.measure.unit, f"signed slack of {requirement.text}")
-        by_name[requirement.name] = Variable(grid, real, attributes)
+        variable_of[requirement.name] = Variable(grid, real, attributes)
     for requirement in study.requirements:
         meaning = f"time from which on a violation of {requirement.text} was certain (NaN: it is met)"
-        by_name[requirement.violation_name] = Variable(grid, real, unit_and_meaning("s", meaning))
+        variable_of[requirement.violation_name] = Variable(grid, real, unit_and_meaning("s", meaning))
     attributes = unit_and_meaning("s", "time of the first non-finite step (NaN: none)")
-    by_name["failed_at"] = Variable(grid, real, attributes)
+    variable_of["failed_at"] = Variable(grid, real, attributes)
     if study.loop.settled:
         attributes = unit_and_meaning("s", "time from which on it had settled, and was not simulated (NaN: none)")
-        by_name["settled_at"] = Variable(grid, real, attributes)
+        variable_of["settled_at"] = Variable(grid, real, attributes)
     codes = outcome_codes(study)
     attributes = {"long_name": OUTCOME, "flag_values": list(codes), "flag_meanings": " ".join(codes.values())}
-    by_name["outcome"] = Variable(grid, "int32", attributes)
-    return by_name
+    variable_of["outcome"] = Variable(grid, "int32", attributes)
+    return variable_of
 
 
 def units_of(study: Study) -> dict[str, str]:
     """Unit of each number of a draw by name; variables without a unit, such as the outcome, are left out."""
-    by_name = variables(study) | coordinates(study)
-    return {name: variable.attributes["units"] for name, variable in by_name.items() if "units" in variable.attributes}
+    units = {}
+    for name, variable in (variables(study) | coordinates(study)).items():
+        if "units" in variable.attributes:
+            units[name] = variable.attributes["units"]
+    return units
 
 
 def name_with_unit(name: str, unit: str) -> str:
@@ -114,12 +117,12 @@ def name_with_unit(name: str, unit: str) -> str:
 
 def coordinates(study: Study) -> dict[str, Variable]:
     """The coordinates of a study's dataset by name: each swept parameter, and the index of the draw."""
-    by_name = {}
+    variable_of = {}
     for name in study.axes:
         quantity = study.quantities[name]
-        by_name[name] = Variable((name,), "float64", unit_and_meaning(quantity.unit, quantity.meaning))
-    by_name["draw"] = Variable(("draw",), "int64", {"long_name": "draw index"})
-    return by_name
+        variable_of[name] = Variable((name,), "float64", unit_and_meaning(quantity.unit, quantity.meaning))
+    variable_of["draw"] = Variable(("draw",), "int64", {"long_name": "draw index"})
+    return variable_of
 
 
 def coordinate_values(study: Study) -> dict[str, np.ndarray]:
@@ -137,7 +140,7 @@ def dataset_attributes(study: Study) -> dict[str, str]:
     return attributes
 
 
-def in_memory(study: Study) -> xr.Dataset:
+def empty_dataset(study: Study) -> xr.Dataset:
     """An empty dataset with all variables of a study's result: numbers are NaN, and outcomes :data:`NOT_COMPUTED`."""
     coords = coordinate_values(study)
     sizes = {name: len(values) for name, values in coords.items()}
@@ -158,7 +161,7 @@ def copy_block(
     results: Mapping[str, np.ndarray],
     law_values: Mapping[str, np.ndarray],
 ) -> None:
-    """Copy a block of lanes into a dataset of :func:`in_memory`.
+    """Copy a block of lanes into a dataset of :func:`empty_dataset`.
 
     Args:
         dataset: The dataset.

@@ -125,17 +125,17 @@ class StatedAmounts:
             confidence: Confidence of the intervals by the draws' weights.
         """
         bounds = draws.bounds(interval)
-        free = draws.free(draws.names)
+        movable_laws = draws.free(draws.names)
         errors = []
         for name, radius in self.within.items():
             interval_in_ball = BALLS[name].interval(interval, radius)
             errors.append(StatedError(name, radius, interval_in_ball, weighted_interval=None))  # needs no weights
         if self.shift is not None:
-            interval_of_any = bounds.interval_after_shift(free, self.shift)
+            interval_of_any = bounds.interval_after_shift(movable_laws, self.shift)
             weighted_interval = draws.weighted(Shift, confidence).interval_within(self.shift)
             errors.append(StatedError("mean_shift", self.shift, interval_of_any, weighted_interval))
         if self.widening is not None:
-            interval_of_any = bounds.interval_after_widening(free, self.widening)
+            interval_of_any = bounds.interval_after_widening(movable_laws, self.widening)
             weighted_interval = draws.weighted(Widening, confidence).interval_within(math.log(self.widening))
             errors.append(StatedError("widening", self.widening, interval_of_any, weighted_interval))
         return errors

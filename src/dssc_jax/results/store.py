@@ -28,7 +28,7 @@ from dssc_jax.results.manifest import (
     stored_layout,
     write_manifest,
 )
-from dssc_jax.results.schema import copy_block, in_memory
+from dssc_jax.results.schema import copy_block, empty_dataset
 from dssc_jax.study import Study, hash_of, stored_study
 
 
@@ -64,11 +64,11 @@ class Store:
             self.held_folder.close()
             raise
         try:
-            old = read_manifest(folder) if is_occupied(folder) else None
-            if old is not None:
-                require_same_study(folder, old, study, resume)  # again, now that no other process writes
+            stored = read_manifest(folder) if is_occupied(folder) else None
+            if stored is not None:
+                require_same_study(folder, stored, study, resume)  # again, now that no other process writes
             with report_write_errors(folder):
-                is_resumed = old is not None and resume and self._resume(old, manifest)
+                is_resumed = stored is not None and resume and self._resume(stored, manifest)
                 if not is_resumed:
                     self._begin(manifest)
         except BaseException:
@@ -113,50 +113,50 @@ class Store:
         arrays = create_arrays(self.folder, self.study, layout)
         self.chunks = Chunks(self.folder, self.study, layout, arrays=arrays, held_folder=self.held_folder)
 
-    def _resume(self, old: Manifest, new: Manifest) -> bool:
+    def _resume(self, stored: Manifest, present: Manifest) -> bool:
         """Continue an earlier run, perhaps with more draws.
 
         Args:
-            old: Manifest of the earlier run.
-            new: Content of the manifest of this run.
+            stored: Manifest of the earlier run.
+            present: Content of the manifest of this run.
 
         Returns:
             Whether the run continues; False if the earlier run stopped before it created its arrays.
         """
-        draws = old["study"].get("draws", 1)
-        layout = stored_layout(self.folder, self.study, old, draws)
+        draws = stored["study"].get("draws", 1)
+        layout = stored_layout(self.folder, self.study, stored, draws)
         if not has_all_arrays(self.folder, self.study, layout):
             return False
-        if asks_for_more_draws(old, self.study):
-            self._extend(old, new, layout)
+        if asks_for_more_draws(stored, self.study):
+            self._extend(stored, present, layout)
         else:
             files.delete_partials(self.folder)
-            self.manifest = old
+            self.manifest = stored
         extend_arrays(self.folder, self.study, layout)
         self.chunks = Chunks(self.folder, self.study, layout, "r+", held_folder=self.held_folder)
         self.pending, obsolete_files = self.chunks.pending()
         if self.pending:
-            require_same_machinery(self.folder, old, new)
+            require_same_machinery(self.folder, stored, present)
         else:
-            self._require_sealed(old, layout)
+            self._require_sealed(stored, layout)
         for file in obsolete_files:
             files.delete(file, self.folder)
         return True
 
-    def _extend(self, old: Manifest, new: Manifest, layout: Layout) -> None:
+    def _extend(self, stored: Manifest, present: Manifest, layout: Layout) -> None:
         """Check the draws of an earlier run, and record the larger number of draws in the manifest.
 
         Args:
-            old: Manifest of the earlier run.
-            new: Content of the manifest from now on.
+            stored: Manifest of the earlier run.
+            present: Content of the manifest from now on.
             layout: Layout with the new number of draws.
         """
-        require_same_machinery(self.folder, old, new)
-        draws = old["study"].get("draws", 1)
+        require_same_machinery(self.folder, stored, present)
+        draws = stored["study"].get("draws", 1)
         old_layout = Layout((*layout.shape[:-1], draws), layout.block)
-        self._require_sealed(old, old_layout)
+        self._require_sealed(stored, old_layout)
         files.delete_partials(self.folder)
-        self.manifest = new | {"layout": layout.to_dict()}
+        self.manifest = present | {"layout": layout.to_dict()}
         write_manifest(self.folder, self.manifest)  # before the arrays grow, so that an interrupted run is recognised
         files.delete(self.folder / SUMMARY)
 
@@ -176,7 +176,7 @@ class Store:
         self.chunks.write(block, results, law_values)
         computes_all = self.pending == self.layout.blocks()
         if self.values is None and computes_all:
-            self.values = in_memory(self.study)
+            self.values = empty_dataset(self.study)
         if self.values is not None:
             copy_block(self.values, block, results, law_values)
 
@@ -257,7 +257,7 @@ def read_dataset(folder: Path, study: Study, manifest: Manifest) -> xr.Dataset:
     layout = stored_layout(folder, study, manifest)
     chunks = Chunks(folder, study, layout, any_draw_count=not manifest.get("complete"))
     chunks.require_all()
-    dataset = in_memory(study)
+    dataset = empty_dataset(study)
     chunks.read(dataset)
     chunks.require_written(dataset, manifest.get(DIGESTS))
     require_coordinates(folder, study)

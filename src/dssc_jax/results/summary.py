@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.closed_loop.metrics.requirements import ended_early, first_violation, violated
+from dssc_jax.closed_loop.metrics.streaming import Metric
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import Outcome
 from dssc_jax.results.fields import MERGED
@@ -149,11 +150,13 @@ def summary_of_batch(
     outcome = lanes["outcome"]
     count, draws = outcome.shape
     early = ended_early(outcome)
-    violations = {r.label: violated(lanes[r.name]) for r in study.requirements}
-    pairs = overlap_rows(violations, early, statements)
-    overlaps = by_point(pairs, count)
-    if len(pairs) > FEW_PAIRS:
-        overlaps = [[pair for pair in pairs_at_point if pair["draws"]] for pairs_at_point in overlaps]
+    violations = {}
+    for requirement in study.requirements:
+        violations[requirement.label] = violated(lanes[requirement.name])
+    overlaps = []
+    for pairs in by_point(overlap_rows(violations, early, statements), count):
+        is_short = len(pairs) <= FEW_PAIRS
+        overlaps.append(pairs if is_short else [pair for pair in pairs if pair["draws"]])
     outcomes = {}
     for code, meaning in outcome_codes(study).items():
         outcomes[meaning] = np.count_nonzero(outcome == code, axis=-1).tolist()
@@ -216,30 +219,43 @@ def requirement_rows(
         For each requirement, a row for each point.
     """
     early = ended_early(lanes["outcome"])
-    first, _ = first_violation(study.requirements, lanes)
+    first_index, _ = first_violation(study.requirements, lanes)
     violations_of_draw = np.sum(list(violations.values()), axis=0)
     table = []
-    for number, requirement in enumerate(study.requirements):
+    for index, requirement in enumerate(study.requirements):
         is_violated = violations[requirement.label]
         violates_alone = is_violated & (violations_of_draw == 1) & ~early
         violation_times = lanes[requirement.violation_name]
+        metric = requirement.measure.metric
         head = {"name": requirement.label, "text": requirement.text}
+        if metric.defined_if:
+            head["defined_if"] = metric.defined_if
         columns = statements.shares(is_violated) | {
             "alone": np.count_nonzero(violates_alone, axis=-1).tolist(),
-            "first": np.count_nonzero(first == number, axis=-1).tolist(),
+            "first": np.count_nonzero(first_index == index, axis=-1).tolist(),
             "violated_at": none_if_infinite(median_without_nan(violation_times)),
+            **counts_without_value(metric, lanes[requirement.measure.name], early),
         }
-        values = lanes[requirement.measure.name]
-        counts_without_value = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
-        margin = requirement.measure.metric.margin
-        if margin is not None and not np.isnan(margin.kind.neutral):  # neutral: the margin of an unstable loop
-            columns["unstable"] = np.count_nonzero(values == margin.kind.neutral, axis=-1).tolist()
-            columns["no_operating_point"] = counts_without_value
-        if requirement.measure.metric.defined_if:
-            columns["undefined"] = counts_without_value
-            head["defined_if"] = requirement.measure.metric.defined_if
         table.append([head | row for row in rows_of_columns(columns)])
     return table
+
+
+def counts_without_value(metric: Metric, values: np.ndarray, early: np.ndarray) -> dict[str, list[int]]:
+    """Columns with the numbers of completed draws without a value; empty for a metric that always has one.
+
+    Args:
+        metric: The metric.
+        values: Its values, shape (points, draws).
+        early: Whether each draw ended early, shape (points, draws).
+    """
+    undefined_counts = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
+    columns = {}
+    if metric.margin is not None and not np.isnan(metric.margin.kind.neutral):  # neutral: that of an unstable loop
+        columns["unstable"] = np.count_nonzero(values == metric.margin.kind.neutral, axis=-1).tolist()
+        columns["no_operating_point"] = undefined_counts
+    if metric.defined_if:
+        columns["undefined"] = undefined_counts
+    return columns
 
 
 def missing_value_texts(point: SummaryRow) -> list[str]:

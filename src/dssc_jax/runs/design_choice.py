@@ -162,10 +162,9 @@ def recorded_choice(study: Study, folder: Path, resume: bool) -> DesignChoice | 
         return None
     # the present study with the recorded number of draws: an equal hash means that nothing else differs
     earlier = study.override({"draws": entry["asked_draws"]})
-    records_this_study = earlier.hash == entry["asked"]
-    has_same_draws = earlier.hash == study.hash
-    extends = resume and study.config.draws > entry["asked_draws"]
-    if not records_this_study or not (has_same_draws or extends):
+    is_same_number = earlier.hash == study.hash
+    is_extended = resume and study.config.draws > entry["asked_draws"]
+    if earlier.hash != entry["asked"] or not (is_same_number or is_extended):
         return None
     request = study.hash, study.config.draws
     recorded_study = manifest["study"]

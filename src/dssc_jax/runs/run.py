@@ -18,7 +18,7 @@ from dssc_jax.engine.integration import integration_error
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import SCHEMA, Manifest, code_entries, require_startable
 from dssc_jax.results.result import Result
-from dssc_jax.results.schema import copy_block, in_memory
+from dssc_jax.results.schema import copy_block, empty_dataset
 from dssc_jax.results.stated_errors import STATED, StatedAmounts
 from dssc_jax.results.store import Store
 from dssc_jax.runs.design_choice import choose_design
@@ -273,7 +273,7 @@ def run_in_memory(
     blocks = layout.blocks()
     block_results = execute(engine, blocks)
     manifest = run_manifest(study, layout, computing())
-    dataset = in_memory(study)
+    dataset = empty_dataset(study)
     advance = LanesDone(progress, layout, blocks)
     for box, results, values in block_results:
         copy_block(dataset, box, results, values)

@@ -15,7 +15,7 @@ from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result
-from dssc_jax.results.schema import copy_block, in_memory
+from dssc_jax.results.schema import copy_block, empty_dataset
 from dssc_jax.runs.design_choice import DesignChoice, with_plain_draws
 from dssc_jax.runs.run import integration_entry, run_manifest, stated_entry
 from dssc_jax.statistics import Look, StoppingRule
@@ -75,7 +75,7 @@ def run_until(
     if progress:
         progress(draws, most)
     final = study.override({"draws": draws})
-    dataset = in_memory(final)
+    dataset = empty_dataset(final)
     columns = {name: column[:draws] for name, column in join_batches(stop.batches).items()}
     copy_block(dataset, (slice(0, draws),), columns, values_of_draws(final, slice(0, draws)))
     manifest = run_manifest(final, Layout.of(final), computing()) | {

@@ -211,10 +211,14 @@ def events_in(study: Study, values: Mapping[str, float]) -> dict[str, list[str] 
     """Kinds and times [s] of the study's events in a draw, as attributes of a trajectory; empty without events."""
     if not study.config.event:
         return {}
-    kinds = [str(table.get("kind", "rotor")) for table in study.config.event]
-    names = [f"event.{index}.at" for index in range(len(kinds))]
-    all_values = {**study.derived(values), **values}
-    times = [float(all_values.get(name, nominal(study.leaves()[name]))) for name in names]
+    plain_values = study.leaves()
+    values_of_draw = {**study.derived(values), **values}
+    kinds = []
+    times = []
+    for index, table in enumerate(study.config.event):
+        kinds.append(str(table.get("kind", "rotor")))
+        time = f"event.{index}.at"
+        times.append(float(values_of_draw.get(time, nominal(plain_values[time]))))
     return {"event_kinds": kinds, "event_times": times}
 
 

@@ -20,9 +20,10 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.actuators import require_one_form
+from dssc_jax.study.available_metrics import AvailableMetrics, available_metrics, metric_kinds
 from dssc_jax.study.components import as_table
-from dssc_jax.study.fitting import nominal_params
-from dssc_jax.study.measuring import available_metrics, metric_kinds, parse_measures
+from dssc_jax.study.laws import nominal_params
+from dssc_jax.study.measuring import parse_measures
 from dssc_jax.study.numbers import Number, merge_numbers, parameter_numbers
 from dssc_jax.study.parameters import TEXTS, ParameterTable
 from dssc_jax.study.parts import parse_parts
@@ -110,11 +111,17 @@ def parse_content(table: TomlTable) -> StudyContent:
     loop = parts.loop(config)
     template = parts.template
     units = parts.units
-    metrics = metric_kinds(config)
+    kinds = metric_kinds(config)
     fields, vehicle_fields = info_fields(loop, template)
-    names = available_metrics(fields, vehicle_fields, metrics)
+    loop_metrics = AvailableMetrics(
+        names=available_metrics(fields, vehicle_fields, kinds),
+        kinds=kinds,
+        channels=loop.channels,
+        units=units,
+        default_window=config.metrics.window,
+    )
     signals = signals_of(loop, template, units)
-    measures, requirements = parse_measures(config, names, metrics, loop.channels, units, signals, parameters.constant)
+    measures, requirements = parse_measures(config, loop_metrics, signals, parameters.constant)
     loop_numbers = merge_numbers(parts.numbers)
     numbers_of_parameters = parameter_numbers(parameters, loop_numbers.values())
     numbers = {number.name: number for number in numbers_of_parameters} | loop_numbers
@@ -184,9 +191,9 @@ def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> F
         """Trace the first sample of the loop, and read the names of the fields."""
         with arithmetic():
             controllers, plant = jax.eval_shape(infos_of, [leaf for leaf in leaves if is_array(leaf)])
-        controller_fields = {
-            channel: fields_of(info, "controller") for channel, info in zip(loop.channels, controllers, strict=True)
-        }
+        controller_fields = {}
+        for channel, info in zip(loop.channels, controllers, strict=True):
+            controller_fields[channel] = fields_of(info, "controller")
         return controller_fields, fields_of(plant, "plant")
 
     return remembered("fields", trace_fields, loop, jax.tree.unflatten(structure, leaves))

@@ -1,70 +1,61 @@
 """Logarithms of the densities of laws, for importance weights; minus infinity outside of a law's support.
 
-They follow the definitions in :mod:`dssc_jax.study.law_kinds`. Each function takes the arguments ``a`` of a law, in the
-order of the study file, and values ``x`` of any shape. The result has the shape of the values.
+They follow the definitions in :mod:`dssc_jax.study.law_kinds`. Each function takes values x of any shape and the
+arguments of a law, in the order of the study file. The result has the shape of the values.
 """
 
 import numpy as np
 import scipy
 
-Arguments = tuple[float, ...]
-
 LOG_ROOT_TWO_PI = 0.5 * float(np.log(2.0 * np.pi))
 
 
-def uniform(a: Arguments, x: np.ndarray) -> np.ndarray:
+def uniform(x: np.ndarray, low: float, high: float) -> np.ndarray:
     """Log density of the uniform law on [lo, hi]."""
-    low, high = a
     return np.where((x >= low) & (x <= high), -np.log(high - low), -np.inf)
 
 
-def loguniform(a: Arguments, x: np.ndarray) -> np.ndarray:
+def loguniform(x: np.ndarray, low: float, high: float) -> np.ndarray:
     """Log density of a number whose logarithm is uniform, on [lo, hi]."""
-    low, high = a
     inside = (x >= low) & (x <= high)
     return np.where(inside, -np.log(np.where(inside, x, 1.0)) - np.log(np.log(high / low)), -np.inf)
 
 
-def normal(a: Arguments, x: np.ndarray) -> np.ndarray:
+def normal(x: np.ndarray, mean: float, std: float) -> np.ndarray:
     """Log density of the normal law with a mean and a standard deviation."""
-    mean, std = a
     return -0.5 * ((x - mean) / std) ** 2 - np.log(std) - LOG_ROOT_TWO_PI
 
 
-def truncated_normal(a: Arguments, x: np.ndarray) -> np.ndarray:
+def truncated_normal(x: np.ndarray, mean: float, std: float, low: float, high: float) -> np.ndarray:
     """Log density of the normal law (mean, standard deviation) truncated to [lo, hi].
 
     The mass of an interval above the mean is computed from the lower tail of the mirrored interval, which does not
     cancel.
     """
-    mean, std, low, high = a
     lower = (low - mean) / std
     upper = (high - mean) / std
     if lower > 0.0:
         lower, upper = -upper, -lower
     mass = scipy.special.ndtr(upper) - scipy.special.ndtr(lower)
-    return np.where((x >= low) & (x <= high), normal((mean, std), x) - np.log(mass), -np.inf)
+    return np.where((x >= low) & (x <= high), normal(x, mean, std) - np.log(mass), -np.inf)
 
 
-def lognormal(a: Arguments, x: np.ndarray) -> np.ndarray:
+def lognormal(x: np.ndarray, mean: float, std: float) -> np.ndarray:
     """Log density of a number whose logarithm is normal, with a mean and a standard deviation."""
     logarithm = np.log(np.where(x > 0.0, x, 1.0))
-    return np.where(x > 0.0, normal(a, logarithm) - logarithm, -np.inf)
+    return np.where(x > 0.0, normal(logarithm, mean, std) - logarithm, -np.inf)
 
 
-def beta(a: Arguments, x: np.ndarray) -> np.ndarray:
-    """Log density of the beta law with two shape parameters on [lo, hi], by default [0, 1]."""
-    shape_1, shape_2 = a[:2]
-    low, high = a[2:] if len(a) == 4 else (0.0, 1.0)
+def beta(x: np.ndarray, a: float, b: float, low: float = 0.0, high: float = 1.0) -> np.ndarray:
+    """Log density of the beta law with shape parameters a and b on [lo, hi]."""
     inside = (x >= low) & (x <= high)
     share = np.where(inside, (x - low) / (high - low), 0.5)  # any value outside, where it is not used
-    logarithm = scipy.special.xlogy(shape_1 - 1.0, share) + scipy.special.xlog1py(shape_2 - 1.0, -share)
-    return np.where(inside, logarithm - scipy.special.betaln(shape_1, shape_2) - np.log(high - low), -np.inf)
+    logarithm = scipy.special.xlogy(a - 1.0, share) + scipy.special.xlog1py(b - 1.0, -share)
+    return np.where(inside, logarithm - scipy.special.betaln(a, b) - np.log(high - low), -np.inf)
 
 
-def triangular(a: Arguments, x: np.ndarray) -> np.ndarray:
+def triangular(x: np.ndarray, low: float, mode: float, high: float) -> np.ndarray:
     """Log density of the triangular law on [lo, hi] with its peak at the mode."""
-    low, mode, high = a
     rising = np.divide(x - low, mode - low, out=np.ones_like(x), where=(low <= x) & (x < mode))
     falling = np.divide(high - x, high - mode, out=np.ones_like(x), where=(mode < x) & (x <= high))
     height = np.minimum(rising, falling)

@@ -16,15 +16,16 @@ from dssc_jax.closed_loop.metrics.requirements import Requirement
 from dssc_jax.closed_loop.metrics.signal_metrics import SampledSignal
 from dssc_jax.closed_loop.metrics.streaming import Measure, Metric, Scope
 from dssc_jax.core.contracts import NoParams, Plant
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, errors_in_file
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.units import ChannelUnits
+from dssc_jax.study.available_metrics import PACKAGE_METRICS, AvailableMetrics, available_metrics, metric_kinds
 from dssc_jax.study.build import info_fields, signals_of, validate_fixed, with_constants
 from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import as_table
 from dssc_jax.study.laws import Law, parse_law
-from dssc_jax.study.measuring import PACKAGE_METRICS, available_metrics, metric_kinds, parse_measures
+from dssc_jax.study.measuring import parse_measures
 from dssc_jax.study.native import native_files
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import ParameterTable
@@ -165,11 +166,9 @@ class Described(Study):
         units = tuple(ChannelUnits(*texts) for texts in description.units)
         if len(units) != len(channels):
             raise mismatch
-        try:
+        with errors_in_file(source):
             config = validate_fixed(with_constants(dict(table), parameters))
             measures, requirements = described_measures(description, config, units, parameters, unloaded)
-        except ConfigError as error:
-            raise error.within(source) from None
         sweep_shape = tuple(len(values) for values in config.sweep.values())
         has_swept_numbers = numbers.keys() >= config.sweep.keys()
         has_channels = tuple(description.fields) == channels
@@ -250,17 +249,22 @@ def described_measures(
     Raises:
         ConfigError: The study names a metric or a signal that the description does not have.
     """
-    metrics = dict(PACKAGE_METRICS)
+    kinds = dict(PACKAGE_METRICS)
     for name, metric in description.metrics.items():
-        metrics[name] = Metric(
+        kinds[name] = Metric(
             metric.unit, metric.meaning, update=unloaded, value=unloaded, needs=metric.needs, scope=metric.scope
         )
     signals = {}
     for name, signal in description.signals.items():
         signals[name] = SampledSignal(signal.unit, signal.meaning, unloaded)
-    names = available_metrics(description.fields, description.seen, metrics)
-    channels = description.channels or ("",)
-    return parse_measures(config, names, metrics, channels, units, signals, parameters.constant)
+    loop_metrics = AvailableMetrics(
+        names=available_metrics(description.fields, description.seen, kinds),
+        kinds=kinds,
+        channels=description.channels or ("",),
+        units=units,
+        default_window=config.metrics.window,
+    )
+    return parse_measures(config, loop_metrics, signals, parameters.constant)
 
 
 def remedy_for(table: Mapping[str, object]) -> str:

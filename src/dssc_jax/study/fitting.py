@@ -19,16 +19,11 @@ from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.signals import Params, PlantInput, Scalar
 from dssc_jax.study.components import Component
-from dssc_jax.study.laws import UncertainValue
+from dssc_jax.study.laws import nominal_params
 from dssc_jax.study.numbers import dotted_name
 
 COMMAND_DISTURBANCE = "disturbance"
 """Name of the disturbance that adds to the command."""
-
-
-def nominal_params(params: Params) -> Params:
-    """Parameters with the nominal value in place of each law and each expression."""
-    return jax.tree.map(lambda leaf: leaf.nominal if isinstance(leaf, UncertainValue) else leaf, params)
 
 
 def setting_of(

@@ -314,13 +314,17 @@ def with_intervals(formula: Formula, steps: int, outermost: bool) -> Formula:
         ValueError: A temporal operator within another one has no interval.
     """
 
-    def last_sample(end: int, *operands: Formula) -> int:
-        """Last sample of an operator that ends at ``end``, so that its operands still end within the flight."""
+    def interval_end(end: int, *operands: Formula) -> int:
+        """End of an operator's interval in samples; in place of :data:`TO_THE_END`, the latest end that the flight has.
+
+        At that end the operands, which read later samples up to their horizon, still end within the flight.
+        """
         if end != TO_THE_END:
             return end
         if not outermost:
             raise ValueError("an operator within another one needs an interval, such as always[0,2]")
-        return max(0, steps - 1 - max(map(horizon, operands)))
+        longest_horizon = max(map(horizon, operands))
+        return max(0, steps - 1 - longest_horizon)
 
     match formula:
         case Comparison():
@@ -332,6 +336,6 @@ def with_intervals(formula: Formula, steps: int, outermost: bool) -> Formula:
         case Until():
             condition = with_intervals(formula.before, steps, outermost=False)
             goal = with_intervals(formula.goal, steps, outermost=False)
-            return Until(formula.begin, last_sample(formula.end, condition, goal), condition, goal)
+            return Until(formula.begin, interval_end(formula.end, condition, goal), condition, goal)
     inner = with_intervals(formula.inner, steps, outermost=False)
-    return type(formula)(formula.begin, last_sample(formula.end, inner), inner)
+    return type(formula)(formula.begin, interval_end(formula.end, inner), inner)

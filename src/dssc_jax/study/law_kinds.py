@@ -7,43 +7,50 @@ can all be used.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from dssc_jax.study import densities
-from dssc_jax.study.densities import Arguments
+
+
+class ArgumentRule(NamedTuple):
+    """A rule that the arguments of a law must satisfy: in words, and its test."""
+
+    text: str
+    holds: Callable[..., bool]
 
 
 @dataclass(frozen=True)
 class LawKind:
     """A family of laws, such as the uniform laws on all intervals.
 
-    Each function takes the arguments ``a`` of a law, in the order of the study file.
+    Each function takes the arguments of a law, in the order of the study file; levels or values come before them.
 
     Args:
         signature: Arguments as text, such as ``[lo, hi]``.
         counts: Admissible numbers of arguments; None: one or more.
-        rule: Rule that the arguments must satisfy, in words, and its test.
-        support: Lowest and highest value.
-        quantile: Inverse of the distribution function at levels ``u`` in (0, 1), in the shape of the levels.
+        rule: Rule that the arguments must satisfy.
+        support: ``(*arguments)`` -> lowest and highest value.
+        quantile: ``(u, *arguments)`` -> inverse of the distribution function at levels u in (0, 1), in their shape.
         roles: One letter for each argument: ``l`` for a location, ``s`` for a scale, ``.`` for a shape. Empty if the
             law can be neither moved nor widened.
         logarithmic: Whether values spread about the median on a logarithmic scale.
-        log_density: Logarithm of the density at values; None if arguments may not be ranges.
-        nominal: Nominal value; None: the median is nominal.
+        log_density: ``(x, *arguments)`` -> logarithm of the density at values x; None if arguments may not be ranges.
+        nominal: ``(*arguments)`` -> nominal value; None: the median is nominal.
         discrete: Whether all values of the law are among its arguments.
     """
 
     signature: str
     counts: tuple[int, ...] | None
-    rule: tuple[str, Callable[[Arguments], bool]]
-    support: Callable[[Arguments], tuple[float, float]]
-    quantile: Callable[[Arguments, np.ndarray], np.ndarray]
+    rule: ArgumentRule
+    support: Callable[..., tuple[float, float]]
+    quantile: Callable[..., np.ndarray]
     roles: str = ""
     logarithmic: bool = False
-    log_density: Callable[[Arguments, np.ndarray], np.ndarray] | None = None
-    nominal: Callable[[Arguments], float] | None = None
+    log_density: Callable[..., np.ndarray] | None = None
+    nominal: Callable[..., float] | None = None
     discrete: bool = False
 
     @property
@@ -53,12 +60,11 @@ class LawKind:
         return tuple(names.removesuffix("]").split(", "))
 
 
-def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
+def truncated_quantile(u: np.ndarray, mean: float, std: float, low: float, high: float) -> np.ndarray:
     """Quantile of a normal law (mean, standard deviation) truncated to [lo, hi].
 
     An interval above the mean is mirrored: its probabilities, which are near 1, would cancel.
     """
-    mean, std, low, high = a
     low_score = (low - mean) / std
     high_score = (high - mean) / std
     if low_score > 0.0:
@@ -72,44 +78,47 @@ def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
     return np.clip(mean + std * standard, low, high)
 
 
-def triangular_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
+def triangular_quantile(u: np.ndarray, low: float, mode: float, high: float) -> np.ndarray:
     """Quantile of the triangular law on [lo, hi] with its peak at the mode."""
-    low, mode, high = a
     width = high - low
     rising = low + np.sqrt(u * width * (mode - low))
     falling = high - np.sqrt((1.0 - u) * width * (high - mode))
     return np.where(u * width < mode - low, rising, falling)
 
 
-def beta_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Quantile of the beta law with two shape parameters on [lo, hi], by default [0, 1]."""
-    low, high = a[2:] if len(a) == 4 else (0.0, 1.0)
-    return low + (high - low) * scipy.special.betaincinv(a[0], a[1], u)
+def beta_quantile(u: np.ndarray, a: float, b: float, low: float = 0.0, high: float = 1.0) -> np.ndarray:
+    """Quantile of the beta law with shape parameters a and b on [lo, hi]."""
+    return low + (high - low) * scipy.special.betaincinv(a, b, u)
 
 
-def choice_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Quantile of the law in which each of the arguments is equally likely."""
-    count = len(a)
+def choice_quantile(u: np.ndarray, *values: float) -> np.ndarray:
+    """Quantile of the law in which each of the values is equally likely."""
+    count = len(values)
     index = np.minimum((u * count).astype(int), count - 1)  # count u may round up to count
-    return np.asarray(a)[index]
+    return np.asarray(values)[index]
+
+
+def truncates_within_37_deviations(mean: float, std: float, low: float, high: float) -> bool:
+    """Whether [lo, hi] reaches to within 37 std of the mean, beyond which a normal law's tail underflows in float64."""
+    return std > 0.0 and low < high and low < mean + 37.0 * std and high > mean - 37.0 * std
 
 
 LAWS: dict[str, LawKind] = {
     "uniform": LawKind(
         signature="[lo, hi]",
         counts=(2,),
-        rule=("lo must be below hi", lambda a: a[0] < a[1]),
-        support=lambda a: (a[0], a[1]),
-        quantile=lambda a, u: a[0] + (a[1] - a[0]) * u,
+        rule=ArgumentRule("lo must be below hi", lambda low, high: low < high),
+        support=lambda low, high: (low, high),
+        quantile=lambda u, low, high: low + (high - low) * u,
         roles="ll",
         log_density=densities.uniform,
     ),
     "loguniform": LawKind(
         signature="[lo, hi]",
         counts=(2,),
-        rule=("0 < lo < hi must hold", lambda a: 0.0 < a[0] < a[1]),
-        support=lambda a: (a[0], a[1]),
-        quantile=lambda a, u: np.clip(a[0] * np.exp(np.log(a[1] / a[0]) * u), a[0], a[1]),
+        rule=ArgumentRule("0 < lo < hi must hold", lambda low, high: 0.0 < low < high),
+        support=lambda low, high: (low, high),
+        quantile=lambda u, low, high: np.clip(low * np.exp(np.log(high / low) * u), low, high),
         roles="ll",
         logarithmic=True,
         log_density=densities.loguniform,
@@ -117,20 +126,19 @@ LAWS: dict[str, LawKind] = {
     "normal": LawKind(
         signature="[mean, std]",
         counts=(2,),
-        rule=("std must be positive", lambda a: a[1] > 0.0),
-        support=lambda a: (-math.inf, math.inf),
-        quantile=lambda a, u: a[0] + a[1] * scipy.special.ndtri(u),
+        rule=ArgumentRule("std must be positive", lambda mean, std: std > 0.0),
+        support=lambda mean, std: (-math.inf, math.inf),
+        quantile=lambda u, mean, std: mean + std * scipy.special.ndtri(u),
         roles="ls",
         log_density=densities.normal,
     ),
     "truncated_normal": LawKind(
         signature="[mean, std, lo, hi]",
         counts=(4,),
-        rule=(
-            "std must be positive, lo below hi, and [lo, hi] within 37 std of the mean",
-            lambda a: a[1] > 0.0 and a[2] < a[3] and a[2] < a[0] + 37.0 * a[1] and a[3] > a[0] - 37.0 * a[1],
+        rule=ArgumentRule(
+            "std must be positive, lo below hi, and [lo, hi] within 37 std of the mean", truncates_within_37_deviations
         ),
-        support=lambda a: (a[2], a[3]),
+        support=lambda mean, std, low, high: (low, high),
         quantile=truncated_quantile,
         roles="lsll",
         log_density=densities.truncated_normal,
@@ -138,9 +146,9 @@ LAWS: dict[str, LawKind] = {
     "lognormal": LawKind(
         signature="[mean of the logarithm, std of the logarithm]",
         counts=(2,),
-        rule=("std must be positive", lambda a: a[1] > 0.0),
-        support=lambda a: (math.ulp(0.0), math.inf),
-        quantile=lambda a, u: np.exp(a[0] + a[1] * scipy.special.ndtri(u)),
+        rule=ArgumentRule("std must be positive", lambda mean, std: std > 0.0),
+        support=lambda mean, std: (math.ulp(0.0), math.inf),
+        quantile=lambda u, mean, std: np.exp(mean + std * scipy.special.ndtri(u)),
         roles="ls",
         logarithmic=True,
         log_density=densities.lognormal,
@@ -148,8 +156,11 @@ LAWS: dict[str, LawKind] = {
     "beta": LawKind(
         signature="[a, b] or [a, b, lo, hi]",
         counts=(2, 4),
-        rule=("a and b must be positive and lo below hi", lambda a: min(a[:2]) > 0.0 and (len(a) == 2 or a[2] < a[3])),
-        support=lambda a: (a[2], a[3]) if len(a) == 4 else (0.0, 1.0),
+        rule=ArgumentRule(
+            "a and b must be positive and lo below hi",
+            lambda a, b, low=0.0, high=1.0: min(a, b) > 0.0 and low < high,
+        ),
+        support=lambda a, b, low=0.0, high=1.0: (low, high),
         quantile=beta_quantile,
         roles="..ll",
         log_density=densities.beta,
@@ -157,8 +168,10 @@ LAWS: dict[str, LawKind] = {
     "triangular": LawKind(
         signature="[lo, mode, hi]",
         counts=(3,),
-        rule=("lo <= mode <= hi and lo < hi must hold", lambda a: a[0] <= a[1] <= a[2] and a[0] < a[2]),
-        support=lambda a: (a[0], a[2]),
+        rule=ArgumentRule(
+            "lo <= mode <= hi and lo < hi must hold", lambda low, mode, high: low <= mode <= high and low < high
+        ),
+        support=lambda low, mode, high: (low, high),
         quantile=triangular_quantile,
         roles="lll",
         log_density=densities.triangular,
@@ -166,18 +179,18 @@ LAWS: dict[str, LawKind] = {
     "choice": LawKind(
         signature="[value, value, ...]",
         counts=None,
-        rule=("needs at least one value", lambda a: len(a) > 0),
-        support=lambda a: (min(a), max(a)),
+        rule=ArgumentRule("needs at least one value", lambda *values: len(values) > 0),
+        support=lambda *values: (min(values), max(values)),
         quantile=choice_quantile,
         discrete=True,
     ),
     "point": LawKind(
         signature="[value, nominal value]",
         counts=(2,),
-        rule=("needs finite numbers", lambda a: all(map(math.isfinite, a))),
-        support=lambda a: (a[0], a[0]),
-        quantile=lambda a, u: np.full(np.shape(u), a[0]),
-        nominal=lambda a: a[1],
+        rule=ArgumentRule("needs finite numbers", lambda *values: all(map(math.isfinite, values))),
+        support=lambda value, nominal: (value, value),
+        quantile=lambda u, value, nominal: np.full(np.shape(u), value),
+        nominal=lambda value, nominal: nominal,
         discrete=True,
     ),
 }

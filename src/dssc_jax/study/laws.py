@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from itertools import product
 from typing import TypeGuard
 
+import jax
 import numpy as np
 
 from dssc_jax.core.errors import nearest
+from dssc_jax.core.signals import Params
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.law_kinds import LAWS
 
@@ -36,6 +38,11 @@ class UncertainValue(ABC):
     @abstractmethod
     def nominal(self) -> float:
         """Value that an inner loop, or a controller which is fitted to the plant, assumes in every draw."""
+
+
+def nominal_params(params: Params) -> Params:
+    """Parameters with the nominal value in place of each law and each expression."""
+    return jax.tree.map(lambda leaf: leaf.nominal if isinstance(leaf, UncertainValue) else leaf, params)
 
 
 @dataclass(frozen=True)
@@ -68,11 +75,11 @@ class Law(UncertainValue):
     @property
     def support(self) -> tuple[float, float]:
         """Lowest and highest value."""
-        return LAWS[self.kind].support(self.arguments)
+        return LAWS[self.kind].support(*self.arguments)
 
     def quantile(self, u: np.ndarray) -> np.ndarray:
         """Values below which the law lies with probabilities ``u`` in (0, 1), in the shape of ``u``."""
-        return LAWS[self.kind].quantile(self.arguments, u)
+        return LAWS[self.kind].quantile(u, *self.arguments)
 
     @property
     def median(self) -> float:
@@ -83,7 +90,7 @@ class Law(UncertainValue):
     def nominal(self) -> float:
         """Nominal value of a ``point`` law, or the median."""
         nominal = LAWS[self.kind].nominal
-        return self.median if nominal is None else float(nominal(self.arguments))
+        return self.median if nominal is None else float(nominal(*self.arguments))
 
     def spread(self, values: np.ndarray, share: np.ndarray | float) -> np.ndarray:
         """Values of the widened law: the distance of each value from the median is multiplied by ``share``.
@@ -125,18 +132,18 @@ class Law(UncertainValue):
         new_location = math.log(median) if self.logarithmic else median
         if self.kind == "loguniform":  # its arguments are values, the arguments of a lognormal law are logarithms
             values = np.log(values)
-        new_arguments = []
+        new_values = []
         for role, value in zip(LAWS[self.kind].roles, values, strict=True):
             match role:
                 case "l":  # a location
-                    new_arguments.append(float(new_location + share * (value - old_location)))
+                    new_values.append(float(new_location + share * (value - old_location)))
                 case "s":  # a scale
-                    new_arguments.append(float(share * value))
+                    new_values.append(float(share * value))
                 case _:  # a shape
-                    new_arguments.append(float(value))
+                    new_values.append(float(value))
         if self.kind == "loguniform":
-            new_arguments = np.exp(new_arguments).tolist()
-        return Law(self.kind, tuple(new_arguments))
+            new_values = np.exp(new_values).tolist()
+        return Law(self.kind, tuple(new_values))
 
     def __str__(self) -> str:
         """Family and arguments, such as ``uniform(0.8, 1.2)``."""
@@ -217,12 +224,11 @@ def parse_law(table: TomlTable) -> Law:
         raise ValueError(f"the arguments of a {kind} may not be ranges, got {arguments}; give numbers")
     if law_kind.counts is not None and len(arguments) not in law_kind.counts:
         raise ValueError(f"{kind} takes {law_kind.signature}, got {len(arguments)} arguments {arguments}")
-    rule, is_kept = law_kind.rule
     ranges = tuple(ends_of_range(value) for value in arguments)
     ends = [[low] if low == high else [low, high] for low, high in ranges]
     corners = product(*ends)  # the rules are linear in the arguments, so that they hold in between
-    if not all(is_kept(corner) for corner in corners):
-        raise ValueError(f"{kind} {law_kind.signature}: {rule}, got {arguments}")
+    if not all(law_kind.rule.holds(*corner) for corner in corners):
+        raise ValueError(f"{kind} {law_kind.signature}: {law_kind.rule.text}, got {arguments}")
     middles = tuple(0.5 * low + 0.5 * high for low, high in ranges)
     return RangedLaw(kind, middles, ranges) if has_ranges else Law(kind, middles)
 

@@ -1,155 +1,52 @@
 """Parsing of a study's metrics and requirements into measures, each a metric over a window, and their bounds."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from dssc_jax.closed_loop.metrics.performance import PERFORMANCE
+from dssc_jax.closed_loop.metrics.instants import Sample
 from dssc_jax.closed_loop.metrics.requirements import Requirement
 from dssc_jax.closed_loop.metrics.signal_metrics import SIGNAL_METRICS, SampledSignal, metrics_of_signals
-from dssc_jax.closed_loop.metrics.step_response import STEP_RESPONSE, envelope_metric
+from dssc_jax.closed_loop.metrics.step_response import envelope_metric
 from dssc_jax.closed_loop.metrics.streaming import BRIEF, METRICS, Measure, Metric, Scope, suffixed
 from dssc_jax.closed_loop.metrics.window import Window, first_sample, samples_before_end
 from dssc_jax.core.errors import ConfigError, nearest
-from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
+from dssc_jax.core.signals import Scalar
+from dssc_jax.study.available_metrics import AvailableMetrics, kind_name
 from dssc_jax.study.formula_requirements import Constants, formula_requirement, formula_signals
-from dssc_jax.study.importing import import_object
 from dssc_jax.study.margin_requirements import margin_requirement
 from dssc_jax.study.schema import EnvelopeTable, RequirementTable, StudyTable
 
-PACKAGE_METRICS = METRICS | PERFORMANCE | STEP_RESPONSE
-"""The package's metrics by kind, without the metrics of any signal, such as ``rms``."""
-
 ROUNDING = 1e-9  # relative tolerance of compared times
 
+
+class EnvelopeSignal(NamedTuple):
+    """A signal of a channel that an envelope can bound.
+
+    Args:
+        unit: Unit, in which y and u stand for the units of the channel's output and command.
+        meaning: Meaning in words.
+        value: Reads its value from a sample of the channel.
+    """
+
+    unit: str
+    meaning: str
+    value: Callable[[Sample], Scalar]
+
+
 ENVELOPE_SIGNALS = {
-    "y": ("y", "the output y", lambda sample: sample.e + sample.reference.y),
-    "e": ("y", "the output error e", lambda sample: sample.e),
-    "sigma": ("y/s", "sigma", lambda sample: sample.sigma),
-    "u": ("u", "the robust command u", lambda sample: sample.u),
-    "u_total": ("u", "the command u + u_n", lambda sample: sample.u_total),
+    "y": EnvelopeSignal("y", "the output y", lambda sample: sample.e + sample.reference.y),
+    "e": EnvelopeSignal("y", "the output error e", lambda sample: sample.e),
+    "sigma": EnvelopeSignal("y/s", "sigma", lambda sample: sample.sigma),
+    "u": EnvelopeSignal("u", "the robust command u", lambda sample: sample.u),
+    "u_total": EnvelopeSignal("u", "the command u + u_n", lambda sample: sample.u_total),
 }
-"""Unit, meaning and value of each signal that an envelope can bound; the value is that at a sample of a channel."""
-
-
-def metric_kinds(config: StudyTable) -> dict[str, Metric]:
-    """All kinds of metric by name: the package's, and those that a study refers to as ``package.module:object``.
-
-    Raises:
-        ConfigError: An object cannot be imported, is no metric, or has the name of another metric.
-    """
-    metrics = dict(PACKAGE_METRICS)
-    names_by_place: dict[str, str] = {}
-    for index, name in enumerate(config.metrics.names or ()):
-        names_by_place[f"metrics.names.{index}"] = name
-    for index, table in enumerate(config.requirement):
-        if table.metric is not None:
-            names_by_place[f"requirement.{index}.metric"] = table.metric
-    for place, name in names_by_place.items():
-        if ":" not in name:
-            continue
-        metric = import_object(name, place)
-        if not isinstance(metric, Metric):
-            raise ConfigError(place, f"'{name}' must be a Metric, got {type(metric).__name__}")
-        known_metric = metrics.setdefault(kind_name(name), metric)
-        if known_metric is not metric:
-            raise ConfigError(place, f"there is another metric of the name '{kind_name(name)}'; rename the object")
-    return metrics
-
-
-def kind_name(name: str) -> str:
-    """Name of a kind of metric in results: the name itself, or the object's for a user's ``package.module:object``."""
-    _, _, last_name = name.rpartition(":")
-    return last_name
-
-
-def available_metrics(
-    channels: Mapping[str, Sequence[str]], vehicle: Sequence[str], metrics: Mapping[str, Metric]
-) -> dict[str, tuple[str, int | None]]:
-    """Metrics that a loop can have, because its controllers and its plant report what they need.
-
-    Args:
-        channels: Fields of the controller's info in each channel, by the channel's name.
-        vehicle: Fields of the plant's info.
-        metrics: All kinds of metric by name.
-
-    Returns:
-        Kind and index of the channel by the metric's name; the channel is None for a metric of the vehicle.
-    """
-    kinds: dict[str, tuple[str, int | None]] = {}
-    for kind, metric in metrics.items():
-        if metric.scope is Scope.VEHICLE:
-            if set(metric.needs) <= set(vehicle):
-                kinds[kind] = (kind, None)
-            continue
-        for index, (channel, fields) in enumerate(channels.items()):
-            if set(metric.needs) <= set(fields):
-                kinds[suffixed(kind, channel)] = (kind, index)
-    return kinds
-
-
-class AvailableMetrics(NamedTuple):
-    """The metrics that a loop can have, with the units and names that their measures need.
-
-    Args:
-        names: Kind and index of the channel by the metric's name; the channel is None for the vehicle and for signals.
-        kinds: All kinds of metric by name, including those of signals and of users.
-        channels: Names of the channels; one empty name for a plant with one channel.
-        units: Units and meanings of each channel.
-        default_window: Window of ``[metrics]``.
-    """
-
-    names: Mapping[str, tuple[str, int | None]]
-    kinds: Mapping[str, Metric]
-    channels: tuple[str, ...]
-    units: tuple[ChannelUnits, ...]
-    default_window: Window
-
-    def measure(self, name: str, window: Window) -> Measure:
-        """A metric of the loop over a window, which the measure's name contains unless it is the default window."""
-        kind, channel = self.names[name]
-        is_of_channel = channel is not None
-        return Measure(
-            name=name + window.suffix(self.default_window),
-            kind=kind,
-            window=window,
-            channel=channel,
-            custom=None if kind in METRICS else self.kinds[kind],
-            units=self.units[channel] if is_of_channel else UNNAMED_UNITS,
-            channel_name=self.channels[channel] if is_of_channel else "",
-            default_window=self.default_window,
-        )
-
-    def require(self, name: str, place: str) -> None:
-        """Require that the loop has the metric of this name.
-
-        Args:
-            name: Name of the metric.
-            place: Place of the study that names it, for messages.
-
-        Raises:
-            ConfigError: The metric is unknown, or the loop lacks a signal that it needs.
-        """
-        if name in self.names:
-            return
-        if name.endswith("_margin"):
-            rule = f"'{name}' belongs to the linearised loop"
-            raise ConfigError(place, f'{rule}; write margin = "{name.removesuffix("_margin")}" in place of the metric')
-        for channel in self.channels:
-            for kind, metric in self.kinds.items():
-                if metric.needs and suffixed(kind, channel) == name:
-                    needs = ", ".join(metric.needs)
-                    raise ConfigError(place, f"'{name}' needs {needs}, which this loop does not have")
-        raise ConfigError(place, f"unknown metric '{name}'; {nearest(name, self.names)}")
 
 
 def parse_measures(
     config: StudyTable,
-    names: dict[str, tuple[str, int | None]],
-    metrics: Mapping[str, Metric],
-    channels: tuple[str, ...],
-    units: tuple[ChannelUnits, ...],
+    loop_metrics: AvailableMetrics,
     signals: Mapping[str, SampledSignal],
     parameters: Constants,
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
@@ -157,10 +54,7 @@ def parse_measures(
 
     Args:
         config: Tables of the study.
-        names: Metrics that the loop can have, from :func:`available_metrics`.
-        metrics: All kinds of metric by name.
-        channels: Names of the channels; one empty name for a plant with one channel.
-        units: Units and meanings of each channel.
+        loop_metrics: Metrics that the loop can have, without those of signals.
         signals: Signals of the loop by name.
         parameters: (text of an expression, place that needs it) -> value, a plain number.
 
@@ -171,20 +65,9 @@ def parse_measures(
     Raises:
         ConfigError: A metric is unknown or not available, there is none, or a window contains no sample.
     """
-    signal_metrics = signal_metrics_of(config, signals)
-    available = AvailableMetrics(
-        names=names | {name: (name, None) for name in signal_metrics},
-        kinds={**metrics, **signal_metrics},
-        channels=channels,
-        units=units,
-        default_window=config.metrics.window,
-    )
+    available = loop_metrics.with_signal_metrics(signal_metrics_of(config, signals))
     require_samples(config, available.default_window, "metrics.after")
-    reported_kinds = kinds_to_report(config, available)
-    measures: dict[str, Measure] = {}
-    for name, (kind, _) in available.names.items():
-        if kind in reported_kinds:
-            measures[name] = available.measure(name, available.default_window)
+    measures = reported_measures(config, available)
     signals_of_formulas = formula_signals(signals)
     requirements: list[Requirement] = []
     for index, table in enumerate(config.requirement):
@@ -195,14 +78,14 @@ def parse_measures(
             if name in measures or name in available.names:
                 raise ConfigError(f"{place}.name", f"'{name}' is taken; choose another name")
         elif table.margin is not None:
-            requirement = margin_requirement(table, place, channels)
+            requirement = margin_requirement(table, place, available.channels)
             require_new(requirement, requirements, place)
         else:
             requirement = metric_requirement(table, place, config, available)
             require_new(requirement, requirements, place)
         measures.setdefault(requirement.measure.name, requirement.measure)
         requirements.append(requirement)
-    for requirement in envelope_requirements(config, channels, units):
+    for requirement in envelope_requirements(config, available):
         measures[requirement.measure.name] = requirement.measure
         requirements.append(requirement)
     if not measures:
@@ -212,6 +95,20 @@ def parse_measures(
             "plot.metric", f"unknown metric '{config.plot.metric}'; {nearest(config.plot.metric, measures)}"
         )
     return tuple(measures.values()), tuple(requirements)
+
+
+def reported_measures(config: StudyTable, available: AvailableMetrics) -> dict[str, Measure]:
+    """Measures that results report besides the required ones, by name: their kinds over the window of ``[metrics]``.
+
+    Raises:
+        ConfigError: ``metrics.names`` has an unknown kind.
+    """
+    kinds = kinds_to_report(config, available)
+    measures = {}
+    for name, metric in available.names.items():
+        if metric.kind in kinds:
+            measures[name] = available.measure(name, available.default_window)
+    return measures
 
 
 def kinds_to_report(config: StudyTable, available: AvailableMetrics) -> Sequence[str]:
@@ -311,15 +208,12 @@ def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) 
     return metrics_of_signals([*required_names, *(config.metrics.names or ())], signals)
 
 
-def envelope_requirements(
-    config: StudyTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]
-) -> list[Requirement]:
+def envelope_requirements(config: StudyTable, available: AvailableMetrics) -> list[Requirement]:
     """Parse each envelope as a requirement: the least distance of the signal from its bounds must not be negative.
 
     Args:
         config: Tables of the study.
-        channels: Names of the channels; one empty name for a plant with one channel.
-        units: Units and meanings of each channel.
+        available: Metrics that the loop can have, with names and units of its channels.
 
     Raises:
         ConfigError: An envelope names no channel of the loop, or begins after the last sample.
@@ -327,24 +221,25 @@ def envelope_requirements(
     requirements: list[Requirement] = []
     names: list[str] = []
     for index, table in enumerate(config.envelope):
-        require_envelope(table, f"envelope.{index}", config, channels)
+        require_envelope(table, f"envelope.{index}", config, available.channels)
         channel = table.channel or ""
-        channel_index = channels.index(channel)
+        channel_index = available.channels.index(channel)
+        units = available.units[channel_index]
         kind = f"envelope_{table.signal}"
-        unit, meaning, signal = ENVELOPE_SIGNALS[table.signal]
-        metric = envelope_metric(signal, unit, units[channel_index].named(meaning), table.lower, table.upper)
+        signal = ENVELOPE_SIGNALS[table.signal]
+        metric = envelope_metric(signal.value, signal.unit, units.named(signal.meaning), table.lower, table.upper)
         name = suffixed(kind, channel)
         names.append(name)
         count = names.count(name)  # several envelopes may bound one signal
         measure = Measure(
             name=name if count == 1 else f"{name}_{count}",
             kind=kind,
-            window=replace(config.metrics.window, after=0.0, until=math.inf),
+            window=replace(available.default_window, after=0.0, until=math.inf),
             channel=channel_index,
             custom=metric,
-            units=units[channel_index],
+            units=units,
             channel_name=channel,
-            default_window=config.metrics.window,
+            default_window=available.default_window,
         )
         requirements.append(Requirement(measure, minimum=0.0))
     return requirements

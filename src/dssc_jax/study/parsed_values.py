@@ -135,7 +135,7 @@ def parse_range(value: object) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def parse_free(value: object) -> tuple[float, float] | float:
+def parse_free_parameter(value: object) -> tuple[float, float] | float:
     """Parse the interval of a free parameter of Theorem 1, or the positive number at which it is fixed.
 
     Raises:

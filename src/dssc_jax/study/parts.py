@@ -17,7 +17,8 @@ from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.actuators import section_of
 from dssc_jax.study.components import Component, as_table
 from dssc_jax.study.events import CHANNEL_EVENTS, EVENT, events_of, vehicle_events, with_channel_events
-from dssc_jax.study.fitting import fitted_controllers, nominal_params
+from dssc_jax.study.fitting import fitted_controllers
+from dssc_jax.study.laws import nominal_params
 from dssc_jax.study.measures import measurable_signals, parse_signal_sensors, require_signals, sensor_tables
 from dssc_jax.study.numbers import Number, dotted_name
 from dssc_jax.study.parameters import ParameterTable
@@ -35,6 +36,7 @@ from dssc_jax.study.slots import (
     with_units,
 )
 from dssc_jax.study.table_errors import first_error
+from dssc_jax.study.tables import common_table
 
 DECLARATION_OF_FLIGHT = "a Plant of your own that reads `drive.wind` declares `flies=True` (docs/extending.md)"
 
@@ -293,13 +295,13 @@ def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tu
         ConfigError: An entry is unknown or not valid.
     """
     units_of_plant = plant.units or (UNNAMED_UNITS,) * len(channels)
-    common = {name: value for name, value in table.items() if name not in channels}
+    common = common_table(table, channels)
     valid_names = [*UnitsTable.model_fields, *filter(None, channels)]
     channel_units = []
     for units, channel in zip(units_of_plant, channels, strict=True):
-        has_table = channel in table
-        with errors_under(dotted_name("units", channel) if has_table else "units"):
-            overrides = as_table(table[channel]) if has_table else {}
+        place = dotted_name("units", channel) if channel in table else "units"
+        with errors_under(place):
+            overrides = as_table(table.get(channel, {}))
             try:
                 changes = UnitsTable.model_validate(common | overrides).model_dump(exclude_none=True)
             except ValidationError as error:

@@ -129,12 +129,12 @@ def rate_fields(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
     Raises:
         ConfigError: The table is not valid, or as in :func:`recorded_columns`.
     """
-    if "rate_column" not in part and "rate_file" not in part:
+    rate_names = [name for name in ("rate_column", "rate_file") if name in part]
+    if not rate_names:
         return {}
     if slot != RATE_SLOT:
-        name = "rate_column" if "rate_column" in part else "rate_file"
         kind_of_slot, _, _ = slot.partition(".")
-        raise ConfigError(name, f"is of a recorded reference; a recorded {kind_of_slot} has no rate")
+        raise ConfigError(rate_names[0], f"is of a recorded reference; a recorded {kind_of_slot} has no rate")
     for name in ("rate", "rate_time"):
         if name in part:
             raise ConfigError(name, "is given by the file; give rate_column, or the values themselves")

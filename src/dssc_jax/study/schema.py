@@ -1,7 +1,7 @@
 """The fixed tables of the study file, validated by pydantic before any model is looked up."""
 
 import math
-from typing import Annotated, Any, Literal, Optional
+from typing import Annotated, Any, Literal, NamedTuple, Optional
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, create_model, model_validator
 
@@ -13,7 +13,7 @@ from dssc_jax.study.parsed_values import (
     parse_axis,
     parse_finite,
     parse_finite_or_text,
-    parse_free,
+    parse_free_parameter,
     parse_limit,
     parse_points,
     parse_range,
@@ -138,12 +138,24 @@ class MetricsTable(UsualWindow):
         return Window.of(self.model_dump())
 
 
+class SubjectRule(NamedTuple):
+    """The entries of a requirement that belong to its subject, and why others do not; empty: another subject has them.
+
+    Args:
+        entries: Names of the entries.
+        reason: Why there are no others, in words.
+    """
+
+    entries: set[str]
+    reason: str
+
+
 SUBJECTS = {
-    "metric": ({"metric", "signal", "max", "min", *(entry.key for entry in window_entries().values())}, ""),
-    "formula": ({"formula", "name", "smoothing"}, "a formula holds its own times and bounds"),
-    "margin": ({"margin", "at", "max", "min"}, "a margin is that of the linearised loop, before the flight"),
+    "metric": SubjectRule({"metric", "signal", "max", "min", *(entry.key for entry in window_entries().values())}, ""),
+    "formula": SubjectRule({"formula", "name", "smoothing"}, "a formula holds its own times and bounds"),
+    "margin": SubjectRule({"margin", "at", "max", "min"}, "a margin is that of the linearised loop, before the flight"),
 }
-"""Possible subjects of a requirement: the entries that belong to each, and why others do not."""
+"""Possible subjects of a requirement."""
 
 
 class RequirementTable(RequiredWindow):
@@ -159,11 +171,10 @@ class RequirementTable(RequiredWindow):
         if len(subjects) != 1:
             raise ValueError("needs a metric, a margin or a formula, and only one of them")
         subject = subjects[0]
-        entries, reason = SUBJECTS[subject]
-        foreign_entries = sorted(self.model_fields_set - entries)
+        foreign_entries = sorted(self.model_fields_set - SUBJECTS[subject].entries)
         if foreign_entries:
-            owner = next(name for name, (owned, _) in SUBJECTS.items() if foreign_entries[0] in owned)
-            explanation = reason or f"only a {owner} has these entries"
+            owner = next(name for name, rule in SUBJECTS.items() if foreign_entries[0] in rule.entries)
+            explanation = SUBJECTS[subject].reason or f"only a {owner} has these entries"
             raise ValueError(f"{explanation}; take out {', '.join(foreign_entries)}")
         if subject != "formula" and (self.max is None) == (self.min is None):
             raise ValueError("needs exactly one of max and min")
@@ -243,7 +254,7 @@ class TuneTable(BaseModel):
     over: dict[str, Annotated[tuple[float, float], BeforeValidator(parse_range)]] = Field(
         default={}, description="the number along which `proved_up_to` proves, from its low end on"
     )
-    free: dict[str, Annotated[tuple[float, float] | float, BeforeValidator(parse_free)]] = Field(
+    free: dict[str, Annotated[tuple[float, float] | float, BeforeValidator(parse_free_parameter)]] = Field(
         default={}, description="free parameter of the theorem: its interval, or its fixed value"
     )
     objective: dict[str, Finite] = Field(description="weight of each metric in the objective")

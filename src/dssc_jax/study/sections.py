@@ -70,16 +70,15 @@ def sections_of(name: str, table: Mapping[str, object]) -> list[str]:
         name: The name.
         table: Table of the study.
     """
-    places = [TOP] if name in StudyTable.model_fields else []
-    places += [f"in [{section}]" for section, model in FIXED_TABLES.items() if name in model.model_fields]
+    sections = [section for section, model in FIXED_TABLES.items() if name in model.model_fields]
     for slot, registry in REGISTRIES.items():
         part = table.get(slot)
-        if not isinstance(part, Mapping):
-            continue
-        kind = part.get("kind")
+        kind = part.get("kind") if isinstance(part, Mapping) else None
         if isinstance(kind, str) and kind in registry:
-            places += [f"in [{section}]" for section, field in places_in(registry[kind], slot, part) if field == name]
-    return list(dict.fromkeys(places)) if places else sections_of_other_kinds(name)
+            sections += [section for section, field in places_in(registry[kind], slot, part) if field == name]
+    places = [TOP] if name in StudyTable.model_fields else []
+    places += [f"in [{section}]" for section in dict.fromkeys(sections)]
+    return places or sections_of_other_kinds(name)
 
 
 def sections_of_other_kinds(name: str) -> list[str]:

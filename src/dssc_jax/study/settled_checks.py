@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from dssc_jax.closed_loop.loop import Loop
+from dssc_jax.closed_loop.loop import Loop, Settled
 from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.closed_loop.metrics.window import first_sample
 from dssc_jax.core.errors import ConfigError
@@ -32,25 +32,37 @@ def require_whole_windows(loop: Loop, measures: tuple[Measure, ...], envelopes: 
         rule = f"must be >= {latest.window.after:g} s, where the window of {latest.name} begins"
         raise ConfigError("loop.settled.after", f"{rule}; got {settled.after:g}")
     for index, envelope in enumerate(envelopes):
-        end = max(point[0] for point in (*envelope.lower, *envelope.upper))
+        last_time = max(time for time, _ in (*envelope.lower, *envelope.upper))
         duration = loop.steps * loop.sample_time
-        if settled.after < min(end, duration):
+        if settled.after < min(last_time, duration):
             raise ConfigError(
                 f"envelope.{index}",
-                f"bounds '{envelope.signal}' up to {end:g} s, and [loop.settled] may end a draw from "
+                f"bounds '{envelope.signal}' up to {last_time:g} s, and [loop.settled] may end a draw from "
                 f"{settled.after:g} s on; let it begin after the envelope, or take it out",
             )
     for measure in measures:
-        if measure.metric.settled_within is None:
-            continue
-        band = measure.metric.settled_within(measure.window)  # NaN: it depends on the draw
-        if math.isnan(band):
-            rule = f"may end a draw outside of the band of {measure.name}, which is a share of the draw's own step"
-            raise ConfigError("loop.settled", f"{rule}; take it out, or take settling_time in place of that metric")
-        if settled.error > band:
-            rule = f"must be <= {band:g}, the band of {measure.name}, outside of which a draw would end"
-            remedy = "lower it, raise the metric's settling_band, or list metrics.names without that metric"
-            raise ConfigError("loop.settled.error", f"{rule}; got {settled.error:g}. Remedy: {remedy}")
+        if measure.metric.settled_within is not None:
+            require_within_band(settled, measure.name, measure.metric.settled_within(measure.window))
+
+
+def require_within_band(settled: Settled, metric: str, band: float) -> None:
+    """Require that a draw which ends as settled is within the band in which a metric counts it as settled.
+
+    Args:
+        settled: The rule that ends a draw.
+        metric: Name of the metric.
+        band: Largest |e| in the band [unit of y]; NaN: it depends on the draw.
+
+    Raises:
+        ConfigError: A draw may end outside of the band.
+    """
+    if math.isnan(band):
+        rule = f"may end a draw outside of the band of {metric}, which is a share of the draw's own step"
+        raise ConfigError("loop.settled", f"{rule}; take it out, or take settling_time in place of that metric")
+    if settled.error > band:
+        rule = f"must be <= {band:g}, the band of {metric}, outside of which a draw would end"
+        remedy = "lower it, raise the metric's settling_band, or list metrics.names without that metric"
+        raise ConfigError("loop.settled.error", f"{rule}; got {settled.error:g}. Remedy: {remedy}")
 
 
 def require_changes_before_settling(config: StudyTable, numbers: Mapping[str, Number]) -> None:

@@ -1,6 +1,6 @@
 """Parsing of the loop's slots: a single part, a sum of winds, a reference, or one part for each channel."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 
@@ -29,7 +29,7 @@ from dssc_jax.study.actuators import ACTUATOR, parse_chain
 from dssc_jax.study.components import Component, as_table, parse_component
 from dssc_jax.study.events import EVENT
 from dssc_jax.study.numbers import Number, dotted_name
-from dssc_jax.study.tables import channel_table, has_dotted, stands_alone
+from dssc_jax.study.tables import channel_table, common_table, has_dotted, stands_alone
 
 REGISTRIES = {
     "plant": {**PLANTS, "uav": single(UAV, "the full UAV: rigid body, rotors, aerodynamics, inner loops (1)")},
@@ -103,7 +103,7 @@ def reference_kinds(is_angle: bool) -> Registry:
 
 def is_flight(table: TomlTable, channels: Collection[str]) -> bool:
     """Whether the common part of a reference's table is a vehicle's trajectory, other than rest at zero."""
-    common = {name: value for name, value in table.items() if name not in channels}
+    common = common_table(table, channels)
     rests_at_zero = common in ({}, {"kind": "zero"})
     is_trajectory = common.get("kind", "zero") in REGISTRIES["trajectory"]
     return is_trajectory and not rests_at_zero
@@ -123,30 +123,41 @@ def parse_reference(
         channels: Names of the channels; one empty name for a plant with one channel.
         units: Units and meanings of each channel.
         angles: Names of the channels whose output is an angle.
+
+    Raises:
+        ConfigError: The table is not valid.
     """
     slot = "reference"
     if len(channels) == 1:
         registry = reference_kinds(is_angle=channels[0] in angles)
         return with_units(parse_component(table, registry, slot).under(slot, slot), units[0])
-    common = {name: value for name, value in table.items() if name not in channels}
+    common = common_table(table, channels)
     joint = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
     is_of_package = joint.kind in REGISTRIES["trajectory"]
     if is_of_package and len(channels) != len(UAV.channels):
         joint = replace(joint, model=with_channel_count(joint.model, len(channels)))
-    replaced_channels = [channel for channel in channels if channel in table]
-    if not replaced_channels:
-        return joint.under(slot, slot)
-    replacements = {}
-    for channel in replaced_channels:
-        registry = reference_kinds(is_angle=channel in angles)
-        replacements[channel] = parse_component(table[channel], registry, dotted_name(slot, channel))
-    numbers = list(joint.under(f"{slot}.joint", slot).numbers)
-    for place, (channel, part) in enumerate(replacements.items()):
-        part_with_units = with_units(part, units[channels.index(channel)])
-        numbers += part_with_units.under(f"{slot}.replacements.{place}", dotted_name(slot, channel)).numbers
-    models = {channels.index(channel): part.model for channel, part in replacements.items()}
-    model = replace_channels(joint.model, models)
-    params = ReplacedParams(joint.params, tuple(part.params for part in replacements.values()))
+    signals = {}
+    for index, channel in enumerate(channels):
+        if channel in table:
+            registry = reference_kinds(is_angle=channel in angles)
+            signal = parse_component(table[channel], registry, dotted_name(slot, channel))
+            signals[index] = with_units(signal, units[index])
+    return replaced_signals(joint, signals, channels) if signals else joint.under(slot, slot)
+
+
+def replaced_signals(joint: Component, signals: Mapping[int, Component], channels: Sequence[str]) -> Component:
+    """A trajectory in which some channels follow a signal of their own.
+
+    Args:
+        joint: The trajectory of all channels.
+        signals: The signals by index of the channel.
+        channels: Names of the channels.
+    """
+    numbers = list(joint.under("reference.joint", "reference").numbers)
+    for place, (index, signal) in enumerate(signals.items()):
+        numbers += signal.under(f"reference.replacements.{place}", dotted_name("reference", channels[index])).numbers
+    model = replace_channels(joint.model, {index: signal.model for index, signal in signals.items()})
+    params = ReplacedParams(joint.params, tuple(signal.params for signal in signals.values()))
     return Component(joint.kind, model, params, tuple(numbers))
 
 
@@ -166,7 +177,7 @@ def parse_channels(table: TomlTable | list[TomlTable], slot: str, channels: tupl
     """
     if isinstance(table, list):
         return parse_chain(table, channels)
-    common = {name: value for name, value in table.items() if name not in channels}
+    common = common_table(table, channels)
     components = []
     for index, channel in enumerate(channels):
         channel_path = dotted_name(slot, channel)
@@ -271,10 +282,10 @@ def parse_disturbances(
     if isinstance(table, dict) and "input" not in table:
         return parse_channels(table, "disturbance", channels)
     disturbances_by_place = placed_disturbances(table, channels, inputs)
-    return [
-        disturbance_sum(disturbances_by_place[channel], f"disturbance.{index}")
-        for index, channel in enumerate(channels)
-    ]
+    sums = []
+    for index, channel in enumerate(channels):
+        sums.append(disturbance_sum(disturbances_by_place[channel], f"disturbance.{index}"))
+    return sums
 
 
 def parse_inputs(
@@ -288,4 +299,7 @@ def parse_inputs(
     if isinstance(table, dict) and "input" not in table:
         return [disturbance_sum([], path="") for _ in inputs]
     disturbances_by_place = placed_disturbances(table, channels, inputs)
-    return [disturbance_sum(disturbances_by_place[name], f"inputs.{index}") for index, name in enumerate(inputs)]
+    sums = []
+    for index, name in enumerate(inputs):
+        sums.append(disturbance_sum(disturbances_by_place[name], f"inputs.{index}"))
+    return sums

@@ -14,7 +14,7 @@ from jax.tree_util import keystr, tree_flatten, tree_flatten_with_path
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics.requirements import Requirement
 from dssc_jax.closed_loop.metrics.streaming import Measure
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, errors_in_file
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import ChannelUnits
@@ -117,7 +117,7 @@ class Study:
             ConfigError: As in :meth:`load`.
         """
         content = with_changes(table, {}, source)  # a copy
-        try:
+        with errors_in_file(source):
             study = cls(table=content, source=source, **build(content)._asdict())
             names_of_laws = [name for name, number in study.numbers.items() if isinstance(number.value, Law)]
             require_correlation(study.config.correlation, names_of_laws, study.axes)
@@ -126,11 +126,11 @@ class Study:
                     rule = f"the arguments of the law of {name} are ranges; such a number cannot be correlated"
                     raise ConfigError("correlation", rule)
             return study
-        except ConfigError as error:
-            raise error.within(source) from None
 
     def override(self, changes: Mapping[str, object]) -> "Study":
         """Return the study with other values by dotted name, such as ``{"controller.functions.tau_av": 0.05}``.
+
+        A changed file of native code also gets the digest of its present content.
 
         Raises:
             ConfigError: A name does not exist, or the changed study is not valid.

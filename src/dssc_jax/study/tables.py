@@ -3,14 +3,14 @@
 import copy
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
 from dssc_jax.core import files
-from dssc_jax.core.errors import ConfigError, errors_under
+from dssc_jax.core.errors import ConfigError, errors_in_file, errors_under
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.laws import is_law
 from dssc_jax.study.separators import toml_hint
@@ -300,13 +300,11 @@ def with_changes(table: Mapping[str, object], changes: Mapping[str, object], sou
     Raises:
         ConfigError: The table is nested too deeply, or a name leads nowhere.
     """
-    try:
+    with errors_in_file(source):
         require_shallow(table)
         new_table = copy.deepcopy(dict(table))
         for name, value in changes.items():
             set_dotted(new_table, name, copy.deepcopy(value))  # a later name may lead into it
-    except ConfigError as error:
-        raise error.within(source) from None
     return new_table
 
 
@@ -345,6 +343,11 @@ def stands_alone(override: TomlTable, common: TomlTable) -> bool:
     A common table without a kind contains the values that channels of several kinds share.
     """
     return "kind" in common and not has_kind_of(override, common)
+
+
+def common_table(table: TomlTable, channels: Collection[str]) -> TomlTable:
+    """The entries of a section that all channels share: those that are not the table of a channel."""
+    return {name: value for name, value in table.items() if name not in channels}
 
 
 def channel_table(common: TomlTable, override: TomlTable) -> TomlTable:

@@ -10,7 +10,7 @@ from dssc_jax.core.contracts import Disturbance, Unmodelled, Variation
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Measurement, Params, Scalar
-from dssc_jax.study.laws import UncertainValue
+from dssc_jax.study.laws import nominal_params
 
 ANY_NUMBER = 0.5
 """Value of an argument in a trace, which does not depend on it."""
@@ -31,7 +31,7 @@ def require_variation(kind: str, model: object, params: Params) -> None:
         ConfigError: The part depends on more.
     """
     problem = None
-    numbers = jax.tree.map(lambda leaf: leaf.nominal if isinstance(leaf, UncertainValue) else leaf, params)
+    numbers = nominal_params(params)
     try:
         with arithmetic():
             if isinstance(model, Disturbance):

@@ -15,7 +15,7 @@ from dssc_jax.closed_loop.metrics.instants import Instant
 from dssc_jax.closed_loop.metrics.performance import PERFORMANCE
 from dssc_jax.closed_loop.metrics.streaming import METRICS, Measure, Scope, Window
 from dssc_jax.results.schema import variables
-from dssc_jax.study.measuring import PACKAGE_METRICS
+from dssc_jax.study.available_metrics import PACKAGE_METRICS
 
 OWN = """
 import jax.numpy as jnp

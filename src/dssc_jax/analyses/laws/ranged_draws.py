@@ -72,7 +72,7 @@ def log_density(law: Law, values: np.ndarray) -> np.ndarray:
     """Natural logarithm of a law's density at values, shape (n,) both."""
     density = LAWS[law.kind].log_density
     assert density is not None  # a law without one has no ranges
-    return density(law.arguments, values)
+    return density(values, *law.arguments)
 
 
 @dataclass(frozen=True)

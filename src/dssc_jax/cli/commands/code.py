@@ -1,6 +1,7 @@
 """dssc-jax code: the sampled controller as C99, with an FMU and a monitor on request."""
 
 import json
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from dssc_jax.cli.analysing import save_text, write_or_refuse
@@ -33,6 +34,28 @@ def premises_of(study: Study, path: Path) -> Premises:
     return certified_premises(study, read_json(path), str(path))
 
 
+def recordings_of(folder: FlightFolder) -> dict[str, Callable[[int, int | None], Iterable[bytes]]]:
+    """Return the functions that record what the bench of a folder replays, by the names of their files.
+
+    Each function takes the numbers of draws and of samples, and returns the parts of the file's content.
+    """
+    recordings = {"recorded.bin": folder.recording}
+    if folder.software is not None:
+        recordings[onboard_text.RECORDING] = folder.software_recording
+    if folder.monitor is not None:
+        recordings[monitor_text.RECORDING] = folder.monitor_recording
+    return recordings
+
+
+def save_recording(path: Path, parts: Iterable[bytes]) -> None:
+    """Write the parts of a recording to a file.
+
+    Raises:
+        ConfigError: The file cannot be written.
+    """
+    write_or_refuse(path, lambda: files.write_parts(path, parts))
+
+
 def run(options: Code) -> int:
     """Write the folder with the code of the controller, and print its content and cost."""
     study = study_of(options).without_sweep()
@@ -41,11 +64,7 @@ def run(options: Code) -> int:
     folder = FlightFolder(study, premises)
     out = options.out
     texts = folder.texts()
-    recordings = {"recorded.bin": folder.recording}
-    if folder.software is not None:
-        recordings[onboard_text.RECORDING] = folder.software_recording
-    if folder.monitor is not None:
-        recordings[monitor_text.RECORDING] = folder.monitor_recording
+    recordings = recordings_of(folder)
     unit = folder.fmu() if options.fmu else None
     file_names = [*texts, *recordings]
     if unit is not None:
@@ -54,10 +73,8 @@ def run(options: Code) -> int:
     write_or_refuse(out, lambda: files.make_folder(out))
     for name, text in texts.items():
         save_text(out / name, text)
-    for name, recording in recordings.items():
-        path = out / name
-        parts = recording(options.draws, options.samples)
-        write_or_refuse(path, lambda path=path, parts=parts: files.write_parts(path, parts))
+    for name, record in recordings.items():
+        save_recording(out / name, record(options.draws, options.samples))
     summary = folder.summary() | {"folder": str(out)}
     if unit is not None:
         library, reason = build_fmu_library(unit)

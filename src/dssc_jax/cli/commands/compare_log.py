@@ -45,7 +45,7 @@ def run(options: CompareLog) -> int:
     if options.fit:
         return fit(study, log, options)
     name = f"compare-log-{options.log[0].stem}"
-    folder = free_folder(study, "compare-log", options.out, *question_of(options), name=name)
+    folder = free_folder(study, "compare-log", options.out, *question_of(options), ending=name)
     with progress_bar(study, quiet=options.as_json, unit="draws") as advance:
         comparison = compare_log(study, log, progress=advance)
     finish(comparison, folder, options, show_log_comparison)

@@ -61,7 +61,7 @@ def run_ranges(study: Study, options: Laws) -> int:
     amounts = {"within": options.within, "shift": options.shift, "widening": options.widening}
     require_unset("with laws whose arguments are ranges", **amounts)
     question = (options.limit, options.fresh or None, options.settings, options.draws, options.seed)
-    folder = free_folder(study, "law-ranges", options.out, *question, name="laws")
+    folder = free_folder(study, "law-ranges", options.out, *question, ending="laws")
     with progress_bar(study, quiet=options.as_json, unit="simulations") as advance:
         ranges = law_ranges(study, limit=options.limit, fresh=options.fresh or None, progress=advance)
     options = replace(options, no_check=True)  # there is no single law whose draws could be integrated again

@@ -77,12 +77,11 @@ def verify_certificate(content: object, path: Path, as_json: bool) -> int:
     verdict = check_certificate(content)
     words = {}
     if isinstance(content, dict) and not verdict.reason.startswith(MALFORMED):
-        if verdict.proved and is_of_another_loop(content["problem"], path):
+        problem = content["problem"]
+        if verdict.proved and is_of_another_loop(problem, path):
             verdict = verdict._replace(proved=False, reason=FOREIGN)
-        elif content.get("kind") == VEHICLE_KIND:
-            words = vehicle_in_words(content["problem"])
         else:
-            words = loop_in_words(content["problem"])
+            words = vehicle_in_words(problem) if content.get("kind") == VEHICLE_KIND else loop_in_words(problem)
     if as_json:
         print(json.dumps(verdict_content(verdict) | {"loop": words}, allow_nan=False))
     elif isinstance(verdict, VehicleVerdict):

@@ -18,7 +18,7 @@ def run(options: Region) -> int:
     first, second = map(parse_axis, options.over)
     study = study_of(options).without_sweep()
     name = f"region-{first.name}-{second.name}"
-    folder = free_folder(study, "region", options.out, options.settings, options.draws, options.seed, name=name)
+    folder = free_folder(study, "region", options.out, options.settings, options.draws, options.seed, ending=name)
     with progress_bar(study, quiet=options.as_json, unit="simulations") as advance:
         safe = region(study, over=(first, second), halvings=options.halvings, progress=advance)
     finish(safe, folder, options, show_region)

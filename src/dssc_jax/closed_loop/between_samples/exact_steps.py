@@ -60,8 +60,9 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
     """
     assembly = assemble(parts, dynamics, unmodelled)
     remainder_rows = find_remainder_rows(parts.plant, params, len(parts.unmodelled))
-    size = len(assembly.a)
-    forcings = [*assembly.inputs, *(Forcing(one_entry(1.0, row, size), VARYING) for row in remainder_rows)]
+    forcings = list(assembly.inputs)
+    for row in remainder_rows:
+        forcings.append(Forcing(one_entry(1.0, row, len(assembly.a)), VARYING))
     is_constant = all(forcing.terms == CONSTANT for forcing in forcings)
     count = 1 if is_constant else parts.substeps  # with constant inputs one step over the sample is exact
     h = parts.sample_time / count
@@ -81,11 +82,11 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
                 time = t + (index + fraction) * h
                 at_plant, at_states = scatter_state(assembly, x, plant, states)
                 drive = drive_at(at_plant, actuation_at(assembly, at_states, lines, fraction), time)
-                remainder_rates = []
+                signals = [*drive.disturbance, *drive.inputs]
                 if parts.plant.remainder is not None:
                     rates = jax.tree.leaves(parts.plant.remainder(params, at_plant, drive, time))
-                    remainder_rates = [rates[row] for row in remainder_rows]
-                return [*drive.disturbance, *drive.inputs, *remainder_rates]
+                    signals += [rates[row] for row in remainder_rows]
+                return signals
 
             inputs = [polynomial_terms(model, line) for model, line in zip(parts.unmodelled, lines, strict=True)]
             x = gather_state(assembly, plant, states)
@@ -262,8 +263,10 @@ def etd_step(
 
     def all_inputs(polynomials: Sequence[Sequence[Scalar]]) -> list[Sequence[Scalar]]:
         """The commands and these polynomials of the varying signals, each with as many terms as its forcing has."""
-        varying = zip(polynomials, forcings[len(inputs) :], strict=True)
-        return [*inputs, *(terms[: forcing.terms] for terms, forcing in varying)]
+        terms_of_inputs = list(inputs)
+        for polynomial, forcing in zip(polynomials, forcings[len(inputs) :], strict=True):
+            terms_of_inputs.append(polynomial[: forcing.terms])
+        return terms_of_inputs
 
     depends_on_time_alone = parts.plant.remainder is None and Variation.STATE not in parts.variations
     start = varying_signals(x, 0.0)

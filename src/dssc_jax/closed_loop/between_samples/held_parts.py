@@ -108,6 +108,7 @@ def make_mover(model: Unmodelled, params: Params, h: float) -> Mover:
         start = model.output(params, state, command)
         middle = model.output(params, middle_state, command)
         end = model.output(params, end_state, command)
+        # the mean by Simpson's rule
         return next_state, Moments(mean=(start + 4.0 * middle + end) / 6.0, rise=end - start)
 
     return move

@@ -267,14 +267,14 @@ def first_violation(
         Index of the requirement, -1 if there is none, and the time [s], NaN if there is none; arrays of that shape.
     """
     failed_at = results["failed_at"]
-    first = np.full(failed_at.shape, -1)
-    earliest = np.where(np.isnan(failed_at), np.inf, failed_at)
-    for number, requirement in enumerate(requirements):
+    first_index = np.full(failed_at.shape, -1)
+    first_time = np.where(np.isnan(failed_at), np.inf, failed_at)  # from an early end on, violations do not count
+    for index, requirement in enumerate(requirements):
         times = results[requirement.violation_name]
-        is_earlier = times < earliest
-        first = np.where(is_earlier, number, first)
-        earliest = np.where(is_earlier, times, earliest)
-    return first, np.where(first >= 0, earliest, np.nan)
+        is_earlier = times < first_time
+        first_index = np.where(is_earlier, index, first_index)
+        first_time = np.where(is_earlier, times, first_time)
+    return first_index, np.where(first_index >= 0, first_time, np.nan)
 
 
 def worst_slack(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -10,10 +10,14 @@ import jax.numpy as jnp
 from dssc_jax.closed_loop.loop import signal_name
 from dssc_jax.closed_loop.metrics.instants import Instant
 from dssc_jax.closed_loop.metrics.streaming import (
+    Accumulator,
     Course,
+    FinalValue,
     Metric,
     Scope,
+    SignalReader,
     Span,
+    Update,
     final_value,
     mean,
     peak_update,
@@ -42,7 +46,7 @@ class SampledSignal(NamedTuple):
 
     unit: str
     meaning: str
-    value: Callable[[Instant], Scalar]
+    value: SignalReader
     periodic: bool = False
 
 
@@ -52,45 +56,45 @@ class Variation(NamedTuple):
     Args:
         last: Value at the last sample.
         sum: Sum of the sizes of all changes from sample to sample.
-        samples: 1 if there was a sample, else 0: the first one is no change.
+        begun: 1 once there was a sample, else 0: the first sample is no change.
     """
 
     last: Scalar = 0.0
     sum: Scalar = 0.0
-    samples: Scalar = 0.0
+    begun: Scalar = 0.0
 
 
-def channel_field_reader(index: int, field: str) -> Callable[[Instant], Scalar]:
+def channel_field_reader(index: int, field: str) -> SignalReader:
     """Return the function that reads a field of a channel's sample, such as ``e``."""
     return lambda instant: getattr(instant.channels[index], field)
 
 
-def output_reader(index: int) -> Callable[[Instant], Scalar]:
+def output_reader(index: int) -> SignalReader:
     """Return the function that reads a channel's output y = e + y_m."""
     return lambda instant: instant.channels[index].e + instant.channels[index].reference.y
 
 
-def output_rate_reader(index: int) -> Callable[[Instant], Scalar]:
+def output_rate_reader(index: int) -> SignalReader:
     """Return the function that reads the derivative of a channel's output, y' = e' + y_m'."""
     return lambda instant: instant.channels[index].e_dot + instant.channels[index].reference.y_dot
 
 
-def desired_output_reader(index: int) -> Callable[[Instant], Scalar]:
+def desired_output_reader(index: int) -> SignalReader:
     """Return the function that reads a channel's desired output y_m."""
     return lambda instant: instant.channels[index].reference.y
 
 
-def controller_signal_reader(index: int, field: str) -> Callable[[Instant], Scalar]:
+def controller_signal_reader(index: int, field: str) -> SignalReader:
     """Return the function that reads a signal that a channel's controller reports."""
     return lambda instant: signals_in(instant.channels[index].info)[field]
 
 
-def plant_signal_reader(field: str) -> Callable[[Instant], Scalar]:
+def plant_signal_reader(field: str) -> SignalReader:
     """Return the function that reads a signal that the plant reports."""
     return lambda instant: signals_in(instant.plant)[field]
 
 
-def measured_signal_reader(index: int) -> Callable[[Instant], Scalar]:
+def measured_signal_reader(index: int) -> SignalReader:
     """Return the function that reads the sensor's reading of a measured signal, by the signal's index."""
     return lambda instant: instant.measured[index]
 
@@ -168,19 +172,20 @@ def channel_signals(
     Raises:
         ConfigError: The controller reports a signal under the name of another one.
     """
-    quantities = {
-        "y": (Quantity("y", "output y"), output_reader(index)),
-        "y_dot": (Quantity("y/s", "derivative y' of the output"), output_rate_reader(index)),
-        "y_ref": (Quantity("y", "desired output y_m"), desired_output_reader(index)),
-    }
-    for name, quantity in CHANNEL_SIGNALS.items():
-        quantities[name] = quantity, channel_field_reader(index, name)
-    for name in fields:
-        require_free("controller", name, {TIME, *quantities})
-        quantities[name] = reports.get(name, Quantity("1", name)), controller_signal_reader(index, name)
-    signals = {}
-    for name, (quantity, value) in quantities.items():
+    signals: dict[str, SampledSignal] = {}
+
+    def add(name: str, quantity: Quantity, value: SignalReader) -> None:
+        """Add a signal, with the channel's units and meanings in place of those of y and u."""
         signals[name] = SampledSignal(units.of(quantity.unit), units.named(quantity.meaning), value)
+
+    add("y", Quantity("y", "output y"), output_reader(index))
+    add("y_dot", Quantity("y/s", "derivative y' of the output"), output_rate_reader(index))
+    add("y_ref", Quantity("y", "desired output y_m"), desired_output_reader(index))
+    for name, quantity in CHANNEL_SIGNALS.items():
+        add(name, quantity, channel_field_reader(index, name))
+    for name in fields:
+        require_free("controller", name, {TIME, *signals})
+        add(name, reports.get(name, Quantity("1", name)), controller_signal_reader(index, name))
     return signals
 
 
@@ -199,9 +204,7 @@ def require_free(part: str, name: str, names: Collection[str]) -> None:
         raise ConfigError(part, f"reports '{name}', which is another signal of the loop; give it a name of its own")
 
 
-def variation_update(
-    signal: Callable[[Instant], Scalar], periodic: bool = False
-) -> Callable[[Variation, Instant, Window], Variation]:
+def variation_update(signal: SignalReader, periodic: bool = False) -> Update:
     """Return the ``update`` of a metric that adds up a signal's total variation.
 
     Args:
@@ -213,8 +216,8 @@ def variation_update(
         """The variation after one more sample."""
         value = signal(instant)
         change = wrap_angle(value - acc.last) if periodic else value - acc.last
-        size = jnp.where(acc.samples > 0.0, jnp.abs(change), 0.0)
-        return Variation(value, acc.sum + size, jnp.minimum(acc.samples + 1.0, 1.0))
+        size = jnp.where(acc.begun > 0.0, jnp.abs(change), 0.0)
+        return Variation(value, acc.sum + size, jnp.minimum(acc.begun + 1.0, 1.0))
 
     return update
 
@@ -224,9 +227,7 @@ def total_variation(acc: Variation, window: Window, span: Span) -> Scalar:
     return acc.sum
 
 
-def extreme_update(
-    extreme: Callable[[Scalar, Scalar], Scalar], signal: Callable[[Instant], Scalar]
-) -> Callable[[Scalar, Instant, Window], Scalar]:
+def extreme_update(extreme: Callable[[Scalar, Scalar], Scalar], signal: SignalReader) -> Update:
     """Return the ``update`` of a metric that keeps a signal's smallest or largest value.
 
     Args:
@@ -236,36 +237,48 @@ def extreme_update(
     return lambda acc, instant, window: extreme(acc, signal(instant))
 
 
+def square_update(signal: SignalReader) -> Update:
+    """Return the ``update`` of a metric that adds up the square of a signal."""
+    return sum_update(lambda instant: jnp.square(signal(instant)))
+
+
+def last_update(signal: SignalReader) -> Update:
+    """Return the ``update`` of a metric that keeps the last value of a signal."""
+    return lambda acc, instant, window: signal(instant)
+
+
 class SignalMetric(NamedTuple):
     """A kind of metric that applies to any signal, such as its rms.
 
+    The fields are those of a :class:`~dssc_jax.closed_loop.metrics.streaming.Metric`, but for the dependence on the
+    signal.
+
     Args:
         meaning: Words before the meaning of the signal.
-        update: ``signal -> update``, which makes that field of a
-            :class:`~dssc_jax.closed_loop.metrics.streaming.Metric`.
-        value: The metric's field of this name.
-        start: The metric's field of this name.
-        course: The metric's field of this name.
-        least: The metric's field of this name.
+        update: Returns the metric's update for a signal.
+        value: Computes the metric from the accumulator at the end.
+        start: The accumulator before the first sample.
+        course: Whether the value can only rise, only fall, or do both as samples are added.
+        least: The least value that is possible.
         periodic_update: As ``update``, for an angle that jumps by a turn; None: ``update`` serves for it, too.
     """
 
     meaning: str
-    update: Callable[[Callable[[Instant], Scalar]], Callable[..., object]]
-    value: Callable[..., Scalar] = final_value
-    start: object = 0.0
+    update: Callable[[SignalReader], Update]
+    value: FinalValue = final_value
+    start: Accumulator = 0.0
     course: Course = Course.OPEN
     least: float = -math.inf
-    periodic_update: Callable[[Callable[[Instant], Scalar]], Callable[..., object]] | None = None
+    periodic_update: Callable[[SignalReader], Update] | None = None
 
 
 SIGNAL_METRICS: dict[str, SignalMetric] = {
-    "rms": SignalMetric("rms of the", lambda signal: sum_update(lambda i: jnp.square(signal(i))), root_mean, least=0.0),
+    "rms": SignalMetric("rms of the", square_update, root_mean, least=0.0),
     "max_abs": SignalMetric("largest size of the", peak_update, course=Course.RISES, least=0.0),
     "highest": SignalMetric("highest", partial(extreme_update, jnp.maximum), start=-jnp.inf, course=Course.RISES),
     "lowest": SignalMetric("lowest", partial(extreme_update, jnp.minimum), start=jnp.inf, course=Course.FALLS),
     "mean": SignalMetric("mean", sum_update, mean),
-    "final": SignalMetric("last", lambda signal: lambda acc, i, window: signal(i)),
+    "final": SignalMetric("last", last_update),
     "variation": SignalMetric(
         meaning="total variation of the",
         update=variation_update,

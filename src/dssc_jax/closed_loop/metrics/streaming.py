@@ -26,6 +26,15 @@ Accumulator: TypeAlias = Any
 MetricInput: TypeAlias = Any
 """The :class:`Sample` of a channel for a metric of channels, or the :class:`Instant` for a metric of the vehicle."""
 
+Update: TypeAlias = Callable[[Accumulator, MetricInput, Window], Accumulator]
+"""``(accumulator, sample, window) -> accumulator`` after the sample; the sample is of :data:`MetricInput`."""
+
+FinalValue: TypeAlias = Callable[[Accumulator, Window, Span], Scalar]
+"""``(accumulator, window, span) -> value`` of a metric at the end of its window."""
+
+SignalReader: TypeAlias = Callable[[MetricInput], Scalar]
+"""Reads a signal at a sample of :data:`MetricInput`."""
+
 
 class Scope(StrEnum):
     """The object that a metric describes: one channel, or the vehicle as a whole."""
@@ -52,8 +61,8 @@ class Metric(NamedTuple):
         unit: Unit, in which the symbols ``y`` and ``u`` stand for the units of the channel's output and command
             (:mod:`dssc_jax.core.units`).
         meaning: Meaning in words.
-        update: ``(accumulator, sample, window) -> accumulator``; a vehicle's metric receives the :class:`Instant`.
-        value: ``(accumulator, window, span) -> value``.
+        update: Adds a sample of the window to the accumulator.
+        value: Computes the metric from the accumulator at the end.
         needs: Fields that the info of the controller, or of the vehicle, must have.
         scope: One channel, or the vehicle as a whole.
         start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
@@ -69,8 +78,8 @@ class Metric(NamedTuple):
 
     unit: str
     meaning: str
-    update: Callable[[Accumulator, MetricInput, Window], Accumulator]
-    value: Callable[[Accumulator, Window, Span], Scalar]
+    update: Update
+    value: FinalValue
     needs: tuple[str, ...] = ()
     scope: Scope = Scope.CHANNEL
     start: Accumulator = 0.0
@@ -98,12 +107,12 @@ class Metric(NamedTuple):
 RISES = Course.RISES
 
 
-def peak_update(signal: Callable[[MetricInput], Scalar]) -> Callable[[Scalar, MetricInput, Window], Scalar]:
+def peak_update(signal: SignalReader) -> Update:
     """Return the ``update`` of a metric that keeps the largest absolute value of a signal."""
     return lambda acc, sample, window: jnp.maximum(acc, jnp.abs(signal(sample)))
 
 
-def sum_update(signal: Callable[[MetricInput], Scalar]) -> Callable[[Scalar, MetricInput, Window], Scalar]:
+def sum_update(signal: SignalReader) -> Update:
     """Return the ``update`` of a metric that adds up a signal."""
     return lambda acc, sample, window: acc + signal(sample)
 
@@ -181,7 +190,7 @@ def as_float(flag: Scalar, like: Scalar) -> Scalar:
 def rms(
     unit: str,
     meaning: str,
-    signal: Callable[[MetricInput], Scalar],
+    signal: SignalReader,
     needs: tuple[str, ...] = (),
     scope: Scope = Scope.CHANNEL,
 ) -> Metric:
@@ -206,7 +215,7 @@ def rms(
 def largest_absolute(
     unit: str,
     meaning: str,
-    signal: Callable[[MetricInput], Scalar],
+    signal: SignalReader,
     needs: tuple[str, ...] = (),
     scope: Scope = Scope.CHANNEL,
 ) -> Metric:
@@ -223,7 +232,7 @@ def largest_absolute(
 
 
 def share_of_time(
-    meaning: str, indicator: Callable[[MetricInput], Scalar], needs: tuple[str, ...], scope: Scope = Scope.CHANNEL
+    meaning: str, indicator: SignalReader, needs: tuple[str, ...], scope: Scope = Scope.CHANNEL
 ) -> Metric:
     """The metric that is the share of the window's samples at which an indicator is 1 and not 0.
 

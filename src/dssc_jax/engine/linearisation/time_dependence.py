@@ -8,7 +8,7 @@ from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar, State
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
-from dssc_jax.study.fitting import nominal_params
+from dssc_jax.study.laws import nominal_params
 
 
 def require_timeless(study: Study) -> None:
