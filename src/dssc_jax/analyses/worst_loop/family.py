@@ -1,6 +1,7 @@
 """The linearised loop at any point of the box."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -100,14 +101,13 @@ class LoopFamily:
         all_loops = np.ones(len(loops.a), bool)
         return loops.loop_states(place, all_loops)
 
-    def remaining_points(self, most: int) -> int:
-        """Number of points that may still be linearised, if ``most`` is the limit for all searches together."""
-        return max(0, most - len(self.cache))
+    def remaining_points(self, limit: int) -> int:
+        """Number of points that may still be linearised, with a limit for all searches together."""
+        return max(0, limit - len(self.cache))
 
     def allowance(self, points: int) -> RemainingPoints:
         """Return a function that counts how many of ``points`` further points may still be linearised."""
-        most_rows = len(self.cache) + points
-        return lambda: max(0, most_rows - len(self.cache))
+        return partial(self.remaining_points, len(self.cache) + points)
 
     def linearise(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
         """Linearise the loop at points of shape (n, sides); NaN where there is no equilibrium.
@@ -123,7 +123,7 @@ class LoopFamily:
         if np.any(self.findings == Finding.CORNER):
             findings = np.broadcast_to(self.findings, (len(points), self.findings.size))
             matrices = self.resting.linearise(values, indices, states, ANY_SAMPLE, findings)
-        gaps = np.where(is_settled, 0.0, np.nan)[:, None, None]  # a sum with NaN is NaN
+        gaps = np.where(is_settled, 0.0, np.nan)[:, None, None]  # added, NaN makes a matrix NaN
         return StateMatrices(matrices.next_states, matrices.a + gaps, matrices.b + gaps, matrices.c + gaps)
 
     def require_no_other_uncertainty(self) -> None:
@@ -167,6 +167,11 @@ class BrokenFamily:
         self.sides = self._influential_sides()
 
     @property
+    def sample_time(self) -> float:
+        """T_s [s]."""
+        return self.family.resting.study.config.loop.sample_time
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Dotted names of the numbers that change this loop."""
         return tuple(self.family.box.sides[side].name for side in self.sides)
@@ -208,7 +213,9 @@ class BrokenFamily:
         b = matrices.b[:, states][:, :, places]
         c = matrices.c[:, places][:, :, states]
         zeros = np.zeros((len(a), len(places), len(places)))
-        return np.concatenate([np.concatenate([a, b], axis=2), np.concatenate([c, zeros], axis=2)], axis=1)
+        upper_rows = np.concatenate([a, b], axis=2)
+        lower_rows = np.concatenate([c, zeros], axis=2)
+        return np.concatenate([upper_rows, lower_rows], axis=1)
 
     def _influential_sides(self) -> list[int]:
         """Indices of the sides of the box that change this loop, found by moving each number from random points."""
