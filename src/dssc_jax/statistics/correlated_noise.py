@@ -151,8 +151,8 @@ class Drift(NamedTuple):
     def covariance(self, first: np.ndarray | float, second: np.ndarray | float) -> np.ndarray:
         """Covariance of the drift between two times since its start [s], of their broadcast shape.
 
-        From the earlier time on, p is expected to change by v (1 - exp(-w)) over w time constants T, where v is that noise
-        at the earlier time.
+        From the earlier time on, p is expected to change by v (1 - exp(-w)) over w time constants T, with the v of that
+        time.
         """
         earlier = np.minimum(first, second) / self.time
         relaxation = -np.expm1(-np.abs(first - second) / self.time)

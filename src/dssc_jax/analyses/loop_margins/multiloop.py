@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.loop_margins.structured import balancing_scales, lower_bounds, scaled_norms, upper_bounds
+from dssc_jax.analyses.loop_margins.structured import balancing_log_scales, lower_bounds, scaled_norms, upper_bounds
 from dssc_jax.closed_loop.break_points import BreakPoint, place_name, place_names
 from dssc_jax.core.influences import closure
 from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
@@ -186,7 +186,7 @@ def balanced_bounds(matrices: np.ndarray) -> np.ndarray:
     Args:
         matrices: M, shape (n, channels, channels).
     """
-    norms, _ = scaled_norms(matrices, balancing_scales(matrices))
+    norms, _ = scaled_norms(matrices, balancing_log_scales(matrices))
     return norms
 
 

@@ -60,8 +60,9 @@ class Points(NamedTuple):
 
 def join_points(parts: list[Points]) -> Points:
     """The points of several sets, one set after the other."""
-    names = parts[0].numbers
-    numbers = {name: np.concatenate([part.numbers[name] for part in parts]) for name in names}
+    numbers = {}
+    for name in parts[0].numbers:
+        numbers[name] = np.concatenate([part.numbers[name] for part in parts])
     return Points(np.concatenate([part.winds for part in parts]), numbers)
 
 
@@ -242,15 +243,15 @@ class Ascent:
             The n best trial points, and the height of the signal at each, shape (n,).
         """
         count = len(signals)
-        trials = self.trials(signals, points)
-        all_trials = join_points(trials)
-        heights = self.heights(all_trials)
-        by_trial = np.empty((len(trials), count))
-        for i, signal in enumerate(signals):
-            by_trial[:, i] = heights[signal].reshape(len(trials), count)[:, i]
-        highest = np.argmax(by_trial, axis=0)
-        rows = np.arange(count)  # of a set of trials, which lie one set after the other
-        return all_trials.select(highest * count + rows), by_trial[highest, rows]
+        trial_sets = self.trials(signals, points)
+        trials = join_points(trial_sets)  # one set of n points after the other
+        heights = self.heights(trials)
+        heights_by_set = np.empty((len(trial_sets), count))
+        for row, signal in enumerate(signals):
+            heights_by_set[:, row] = heights[signal].reshape(len(trial_sets), count)[:, row]
+        best_set = np.argmax(heights_by_set, axis=0)
+        rows = np.arange(count)
+        return trials.select(best_set * count + rows), heights_by_set[best_set, rows]
 
     def trials(self, signals: list[str], points: Points) -> list[Points]:
         """Trial points of a step: for each point, several that lie towards the extreme of its signal's gradient.

@@ -64,7 +64,10 @@ class WindGrid(NamedTuple):
     @property
     def names(self) -> list[str]:
         """Dotted names of the numbers of a wind, component by component: ``wind.x.0``, ``wind.x.1``, ..."""
-        return [f"wind.{axis}.{place}" for axis in AXES for place in range(self.size)]
+        names = []
+        for axis in AXES:
+            names += [f"wind.{axis}.{place}" for place in range(self.size)]
+        return names
 
     def table(self, columns: Sequence[Sequence[object]]) -> TomlTable:
         """The table ``[wind]`` of a study that flies in a wind of this grid.
