@@ -89,17 +89,18 @@ def best_log_scales(matrices: np.ndarray) -> np.ndarray:
         return best_logs
     least_norms, slopes = scaled_norms(matrices, best_logs)
     count = len(matrices)
-    shape = np.broadcast_to(FIRST_RADIUS**2 * np.eye(free), (count, free, free)).copy()
+    # the ellipsoid has the points x with (x - centre)' E^-1 (x - centre) <= 1; E: ellipsoid
+    ellipsoid = np.broadcast_to(FIRST_RADIUS**2 * np.eye(free), (count, free, free)).copy()
     centre = best_logs[:, 1:] - best_logs[:, :1]
     for _ in range(ELLIPSOID_STEPS):
         slope = slopes[:, 1:]
-        reach = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", slope, shape, slope), TINY))
+        reach = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", slope, ellipsoid, slope), TINY))  # rise up to the edge
         is_moving = reach > STILL
-        direction = np.einsum("nij,nj->ni", shape, slope) / reach[:, None]  # from the centre to the edge, uphill
-        centre = centre - np.where(is_moving[:, None], direction, 0.0) / (free + 1.0)
-        outer = direction[:, :, None] * direction[:, None, :]
-        shrunk = free**2 / (free**2 - 1.0) * (shape - 2.0 / (free + 1.0) * outer)  # about the lower half
-        shape = np.where(is_moving[:, None, None], shrunk, shape)
+        to_edge = np.einsum("nij,nj->ni", ellipsoid, slope) / reach[:, None]  # from the centre to the edge, uphill
+        centre = centre - np.where(is_moving[:, None], to_edge, 0.0) / (free + 1.0)
+        square = to_edge[:, :, None] * to_edge[:, None, :]
+        smaller = free**2 / (free**2 - 1.0) * (ellipsoid - 2.0 / (free + 1.0) * square)  # about the lower half
+        ellipsoid = np.where(is_moving[:, None, None], smaller, ellipsoid)
         logs = np.concatenate([np.zeros((count, 1)), centre], axis=1)
         norms, slopes = scaled_norms(matrices, logs)
         best_logs = np.where((norms < least_norms)[:, None], logs, best_logs)

@@ -84,6 +84,18 @@ class Critical(NamedTuple):
     violated: np.ndarray | None = None
 
 
+class CriticalDraws(NamedTuple):
+    """Critical values of n draws, with the draws' numbers.
+
+    Args:
+        critical: The critical values.
+        numbers: Value of each uncertain number in each draw, shape (n,) each.
+    """
+
+    critical: Critical
+    numbers: Arrays
+
+
 class FirstViolated:
     """Record of the requirement that each of n draws violates at its failure nearest to the start of a walk.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, search_critical
+from dssc_jax.analyses.margins.search import CriticalDraws
 from dssc_jax.analyses.margins.simulated import admissible_walk, numbers_along, require_spread
 from dssc_jax.analyses.theory.linearised import (
     RestLinearisation,
@@ -224,8 +225,7 @@ def local_margin(
         study,
         over,
         walk,
-        critical,
-        drawn_numbers=laws,
+        CriticalDraws(critical, laws),
         criterion=(*criteria(resting, kind), *notes),
         seconds=time.perf_counter() - began,
         unit="1/s",

@@ -43,7 +43,7 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
     table = plan.table
     size = len(plan.coordinates.names)
     goal = problem.goal_on(problem.train)
-    lanes_per_member = len(problem.train) + len(problem.extra)
+    lanes_per_member = len(problem.train) + len(problem.counterexample_draws)
     most_lanes = min(BLOCK, POPULATION * size * lanes_per_member)
     evaluator = Evaluator(problem.plain.study, problem.plain.extents, most_lanes)
     search = SearchRecord(first.validation)
@@ -58,7 +58,7 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
         for i in range(len(z)):
             lanes = slice(i * lanes_per_member, (i + 1) * lanes_per_member)
             results_of_member = {name: array[lanes] for name, array in results.items()}
-            merit = goal.merit(results_of_member, (), len(problem.extra))  # (): no derivatives
+            merit = goal.merit(results_of_member, (), len(problem.counterexample_draws))  # (): no derivatives
             if not merit.ended and problem.is_admissible(z[i]):
                 costs[i] = merit.objective / first.scale + PENALTY * merit.violation
         return costs
@@ -97,11 +97,7 @@ FINE_SCORE = 1e-3  # largest difference of scores in the last simplex
 class ProvedComparison:
     """The proved number that was optimised, at the start and in the result.
 
-    Args:
-        aim: What was optimised, as ``[tune] aim`` names it.
-        start: The proved number at the start.
-        result: The proved number in the result.
-        over: The number along which the loop is proved, for ``proved_up_to``; else None.
+    ``over`` is None unless the last value at which the loop is proved was optimised.
     """
 
     aim: Annotated[str, Quantity("", "what was optimised")]

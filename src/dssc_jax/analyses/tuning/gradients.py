@@ -25,20 +25,10 @@ INSET = 0.05  # share of an interval's logarithm that is left out at both ends
 
 @dataclass(frozen=True)
 class GradientAgreement:
-    """How well the derivatives of metrics agree with differences.
+    """How well the derivatives of metrics agree with differences, at random points along each coordinate.
 
-    Args:
-        points: Number of random points, each with a draw.
-        compared: Number of derivatives compared: of each metric at each point, along each coordinate.
-        kinks: Share of the derivatives at which the slopes on the two sides differ.
-        agreeing: Share of the remaining derivatives that agree to 1e-4 relative.
-        useful: Share of all derivatives that agree.
-        predictive: Share of the derivatives that predict the effect of a step of 0.03 of the coordinate to within a
-            half. If a loop chatters, derivatives can be exact without predicting anything.
-        ended: Number of points whose draw ended early; they are not compared.
-        finite: Whether no derivative of a completed draw is NaN or infinite.
-        kinked: Share of kinks for each metric along each number.
-        disagreeing: Disagreements away from kinks, worst first: metric, number, point, slopes.
+    A long step is 0.03 of a coordinate. If a loop chatters, derivatives can be exact without predicting anything.
+    Points whose draw ended early are not compared. A disagreement has metric, number, point and slopes.
     """
 
     points: Annotated[int, Quantity("1", "random points, each with its own draw")]

@@ -217,20 +217,23 @@ class Ascent:
         that can happen.
         """
         points = climbs.points
-        best = np.array(climbs.heights)
-        active = np.flatnonzero(np.isfinite(best))
+        heights = np.array(climbs.heights)
+        active = np.flatnonzero(np.isfinite(heights))  # the climbs that go on
         for finished_rounds in range(self.rounds):
             self.report(finished_rounds + 1)
             if not active.size:
                 break
-            trials, trial_heights = self.best_trials([climbs.signals[place] for place in active], points.select(active))
-            better = trial_heights > best[active]
-            points = points.replace(active[better], trials.select(np.flatnonzero(better)))
-            gains = (trial_heights - best[active]) / np.maximum(np.abs(best[active]), np.finfo(float).tiny)
-            best[active[better]] = trial_heights[better]
-            active = active[(gains > LEAST_GAIN) & np.isfinite(best[active])]
+            active_signals = [climbs.signals[place] for place in active]
+            trials, trial_heights = self.best_trials(active_signals, points.select(active))
+            gains = trial_heights - heights[active]
+            relative_gains = gains / np.maximum(np.abs(heights[active]), np.finfo(float).tiny)
+            is_higher = trial_heights > heights[active]
+            risen = active[is_higher]
+            points = points.replace(risen, trials.select(np.flatnonzero(is_higher)))
+            heights[risen] = trial_heights[is_higher]
+            active = active[(relative_gains > LEAST_GAIN) & np.isfinite(heights[active])]
         self.report(self.rounds + 1 if active.size else self.rounds)  # an early end of all climbs leaves one round open
-        return Climbs(climbs.signals, points, best)
+        return Climbs(climbs.signals, points, heights)
 
     def best_trials(self, signals: list[str], points: Points) -> tuple[Points, np.ndarray]:
         """Fly the trial points of a step from n points, and choose the highest for each.
