@@ -93,14 +93,14 @@ class BrokenMatrices(NamedTuple):
     loop, and only the states are kept through which w acts on v.
 
     Args:
-        closed: Whether each draw is one of the n, shape (draws,).
+        has_closed_loop: Whether each draw is one of the n, shape (draws,).
         a: A, shape (n, states, states).
         b: b, shape (n, states).
         c: c, shape (n, states).
         poles: Eigenvalues of A, shape (n, states).
     """
 
-    closed: np.ndarray
+    has_closed_loop: np.ndarray
     a: np.ndarray
     b: np.ndarray
     c: np.ndarray
@@ -112,13 +112,13 @@ def matrices_by_break_point(study: Study, operating: Operating) -> dict[str, Bro
     matrices = operating.matrices
     by_name = {}
     for point, name in enumerate(place_names(study.loop.channels)):
-        closed = operating.closed(point)
-        state_indices = matrices.loop_states(point, closed)
+        has_closed_loop = operating.closed(point)
+        state_indices = matrices.loop_states(point, has_closed_loop)
         if state_indices.size:
-            a = matrices.a[np.ix_(closed, state_indices, state_indices)]
-            b = matrices.b[closed][:, state_indices, point]
-            c = matrices.c[closed][:, point, state_indices]
-            by_name[name] = BrokenMatrices(closed, a, b, c, np.linalg.eigvals(a))
+            a = matrices.a[np.ix_(has_closed_loop, state_indices, state_indices)]
+            b = matrices.b[has_closed_loop][:, state_indices, point]
+            c = matrices.c[has_closed_loop][:, point, state_indices]
+            by_name[name] = BrokenMatrices(has_closed_loop, a, b, c, np.linalg.eigvals(a))
     return by_name
 
 

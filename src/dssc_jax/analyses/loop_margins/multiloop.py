@@ -135,10 +135,10 @@ def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time
     joint = joint_places(channels, matrices, has_operating_point)
     if joint is None:
         return None
-    candidates = np.flatnonzero(has_operating_point)
-    poles = np.linalg.eigvals(matrices.a[np.ix_(candidates, joint.states, joint.states)])
+    reached_draws = np.flatnonzero(has_operating_point)
+    poles = np.linalg.eigvals(matrices.a[np.ix_(reached_draws, joint.states, joint.states)])
     is_stable = np.max(np.abs(poles), axis=1) < 1.0
-    stable = candidates[is_stable]
+    stable = reached_draws[is_stable]
     draws = len(has_operating_point)
     margins = MultiloopMargins(
         channels=tuple(channels[i] for i in joint.channels),

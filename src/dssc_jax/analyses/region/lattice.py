@@ -77,21 +77,29 @@ class RegionAxis(NamedTuple):
         return np.linspace(self.low, self.high, count)
 
 
-def thresholds(draws: int, points: int) -> tuple[int, int]:
-    """Numbers of failed draws that decide a point of the lattice, with confidence for all points together.
+class Thresholds(NamedTuple):
+    """Numbers of failed draws that decide a point of the lattice.
+
+    Args:
+        meets: Most failures with which a point meets; -1: no number is small enough.
+        fails: Fewest failures with which a point fails; the number of draws + 1: no number is large enough.
+    """
+
+    meets: int
+    fails: int
+
+
+def thresholds(draws: int, points: int) -> Thresholds:
+    """The numbers of failed draws that decide a point, with confidence for all points of the lattice together.
 
     Args:
         draws: Number of draws at each point.
         points: Number of points of the lattice.
-
-    Returns:
-        Most failures with which a point meets, -1 if no number is small enough. Fewest failures with which a point
-        fails, draws + 1 if no number is large enough.
     """
     intervals = clopper_pearson(np.arange(draws + 1), draws, 1.0 - (1.0 - CONFIDENCE) / points)
     meets = np.flatnonzero(intervals[:, 1] <= 1.0 - PASSING)
     fails = np.flatnonzero(intervals[:, 0] > 1.0 - PASSING)
-    return int(meets.max(initial=-1)), int(fails.min(initial=draws + 1))
+    return Thresholds(meets=int(meets.max(initial=-1)), fails=int(fails.min(initial=draws + 1)))
 
 
 class Lattice:

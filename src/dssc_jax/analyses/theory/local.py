@@ -88,6 +88,22 @@ def require_in_criterion(study: Study, over: str, kind: Time) -> None:
         )
 
 
+def require_effect_at_rest(study: Study, resting: Study, over: str) -> None:
+    """Refuse a number of the study on which the loop at rest does not depend, such as one of its reference.
+
+    Args:
+        study: The study.
+        resting: The same study at rest.
+        over: Dotted name of the number, or ``spread``.
+
+    Raises:
+        ConfigError: The number has no effect.
+    """
+    acts_at_rest = over in resting.quantities and bool(resting.followers(over))
+    if over in study.quantities and not acts_at_rest:
+        raise ConfigError(over, "has no effect near the origin, where reference and disturbance are neglected")
+
+
 class Spectrum(NamedTuple):
     """A function that computes the eigenvalues of a linearised loop, and notes on what it replaced in the loop.
 
@@ -197,9 +213,7 @@ def local_margin(
     resting = at_rest(study)
     began = time.perf_counter()
     walk = admissible_walk(over, bounds, log, points, bisections)
-    acts_at_rest = over in resting.quantities and bool(resting.followers(over))
-    if over in study.quantities and not acts_at_rest:
-        raise ConfigError(over, "has no effect near the origin, where reference and disturbance are neglected")
+    require_effect_at_rest(study, resting, over)
     if over == SPREAD:
         require_spread(study, bounds)
     sweep = {} if over == SPREAD else {over: sorted(bounds)}  # makes the number an input of the program

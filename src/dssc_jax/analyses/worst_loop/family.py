@@ -56,8 +56,7 @@ class LoopFamily:
         new_points = list(new_by_key.values())
         for first in range(0, len(new_points), BATCH_POINTS):
             self.store(np.array(new_points[first : first + BATCH_POINTS]))
-        loops = [self.cache[self.row_of_point[key]] for key in keys]
-        return StateMatrices(*(np.stack(parts) for parts in zip(*loops, strict=True)))
+        return stack_loops([self.cache[self.row_of_point[key]] for key in keys])
 
     def store(self, batch: np.ndarray) -> None:
         """Linearise the loop at new points and store it in the cache.
@@ -85,10 +84,10 @@ class LoopFamily:
             drawn: The loops of the draws that have an operating point.
         """
         representatives = [loop for loop in self.patterns.values() if np.isfinite(loop.a).all()]
-        parts = []
-        for index, part in enumerate(drawn):
-            parts.append(np.concatenate([part, *(loop[index][None] for loop in representatives)]))
-        return StateMatrices(*parts)
+        if not representatives:
+            return drawn
+        pairs = zip(drawn, stack_loops(representatives), strict=True)
+        return StateMatrices(*(np.concatenate(pair) for pair in pairs))
 
     def states_at(self, drawn: StateMatrices, place: int) -> np.ndarray:
         """Indices of the states that carry a signal back to a break point, in a draw or at a linearised point.
@@ -142,6 +141,11 @@ class LoopFamily:
                     "has a loop that differs between draws with the same numbers, as with a sensor's jitter, so that "
                     "its worst case has no bound; `loop_margins` has its margins over the draws",
                 )
+
+
+def stack_loops(loops: Sequence[StateMatrices]) -> StateMatrices:
+    """The matrices of several single loops, stacked along a new first dimension."""
+    return StateMatrices(*(np.stack(parts) for parts in zip(*loops, strict=True)))
 
 
 def zero_pattern(loop: StateMatrices) -> bytes:

@@ -141,7 +141,7 @@ class Ascent:
 
     def __post_init__(self) -> None:
         """Find the ranges in which the search can move uncertain numbers."""
-        self.ranges = number_ranges(self.flights.flying.laws, self.flights.numbers)
+        self.ranges = number_ranges(self.flights.compiled_study.laws, self.flights.numbers)
 
     def run(self) -> dict[str, WorstFlight]:
         """Search for the worst flight of each signal, by name of the signal."""
@@ -193,8 +193,8 @@ class Ascent:
             winds: The winds [m/s], shape (n, size, 3).
         """
         count = len(winds)
-        laws = self.flights.flying.laws
-        middle = medians(self.flights.flying)
+        laws = self.flights.compiled_study.laws
+        middle = medians(self.flights.compiled_study)
         median_points = Points(winds, {name: np.full(count, middle[name]) for name in self.flights.numbers})
         if not self.flights.numbers:
             return median_points
