@@ -125,14 +125,14 @@ def lower_bounds(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows = np.arange(count)
     for start in range(STARTS):
         vectors = np.ones((count, channels), complex)
-        if start > 0:
+        if start > 0:  # the further starts are random
             vectors = np.exp(2j * np.pi * random.random((count, channels)))
         units = power_iteration(matrices, vectors)
         eigenvalues = np.linalg.eigvals(matrices * units[:, None, :])
         largest = eigenvalues[rows, np.argmax(np.abs(eigenvalues), axis=1)]
         is_better = np.abs(largest) > bounds
         bounds = np.where(is_better, np.abs(largest), bounds)
-        diagonals[is_better] = units[is_better] / largest[is_better, None]
+        diagonals[is_better] = units[is_better] / largest[is_better, None]  # det(I - M U/lambda) = 0
     return bounds, diagonals
 
 

@@ -115,8 +115,8 @@ class FirstViolated:
         self.requirement = np.full(draws, -1)
         self.distance = np.full(draws, np.inf)
 
-    def slack(self, draws: np.ndarray, values: np.ndarray, study: Study, results: Arrays) -> np.ndarray:
-        """Compute the signed slack of some simulated draws, shape (m,), and record what they violate.
+    def record(self, draws: np.ndarray, values: np.ndarray, study: Study, results: Arrays) -> np.ndarray:
+        """Record what some simulated draws violate, and return their signed slacks, shape (m,).
 
         Args:
             draws: Indices of the draws, shape (m,).

@@ -279,7 +279,7 @@ def critical_block(
         """Simulate some lanes of the block, each at a value of the walk, and record what they violate."""
         drawn_numbers = {name: column[lanes] for name, column in laws.items()}
         results = evaluator(indices[lanes], numbers_at(drawn_numbers, values))
-        slack = violated.slack(lanes, values, evaluator.swept, results)
+        slack = violated.record(lanes, values, evaluator.swept, results)
         report()
         return slack
 
@@ -318,7 +318,7 @@ def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: Prog
         numbers.update(join_batches([laws for _, _, laws in blocks]))
         progress(clock.lanes, len(studies) * len(draws))
         results = join_batches([results for _, results, _ in blocks])
-        return violated.slack(draws, values, study_at_value, results)
+        return violated.record(draws, values, study_at_value, results)
 
     critical = search_critical(slack_at, study.config.draws, walk, bisections=0)
     return CriticalDraws(critical._replace(violated=violated.requirement), numbers)

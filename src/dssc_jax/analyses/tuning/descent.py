@@ -22,6 +22,7 @@ from dssc_jax.analyses.tuning.problem import (
     headroom,
 )
 from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.study.schema import TuneTable
 
 FINAL_RATE = 0.01  # final share of the learning rate in the cosine schedule
 HALVINGS = 8  # most halvings of a step
@@ -106,10 +107,7 @@ def descend(problem: Problem, first: StartPoints, progress: ProgressCallback | N
         progress: Called after each step.
     """
     table = problem.plan.table
-    rate: float | optax.Schedule = table.learning_rate
-    if table.schedule == "cosine":
-        rate = optax.cosine_decay_schedule(table.learning_rate, table.steps, FINAL_RATE)
-    optimiser = optax.chain(optax.clip_by_global_norm(1.0), getattr(optax, table.optimiser)(rate))
+    optimiser = optimiser_of(table)
     multipliers = Multipliers(first.scale)
     rng = np.random.default_rng(problem.plan.seed)
     search = SearchRecord(first.validation)
@@ -139,6 +137,14 @@ def descend(problem: Problem, first: StartPoints, progress: ProgressCallback | N
             search.stopped = f"no better on the validation draws for {stale} looks"
             break
     return search
+
+
+def optimiser_of(table: TuneTable) -> optax.GradientTransformation:
+    """The optimiser of optax that ``[tune]`` names, with its learning rate, for gradients of length 1 at most."""
+    rate: float | optax.Schedule = table.learning_rate
+    if table.schedule == "cosine":
+        rate = optax.cosine_decay_schedule(table.learning_rate, table.steps, FINAL_RATE)
+    return optax.chain(optax.clip_by_global_norm(1.0), getattr(optax, table.optimiser)(rate))
 
 
 def smoothing_width(first: float, finished_share: float) -> float:

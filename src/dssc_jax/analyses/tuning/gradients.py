@@ -148,20 +148,31 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     comparison = compare_derivatives(exact, differences.value, differences.forward, differences.backward)
     predictive = is_predictive(exact, differences.value, differences.step_slope)
     count = int(np.count_nonzero(is_complete))
-    kink_shares = np.mean(comparison.kink, axis=1) if count else np.zeros((len(metrics), tuned_count))
-    kinked = {}
-    for metric, row in zip(metrics, kink_shares.tolist(), strict=True):
-        kinked[metric] = dict(zip(coordinates.names, row, strict=True))
     tuned = {name: column[is_complete] for name, column in coordinates.tuned(centre).items()}
     return GradientAgreement(
         points=points,
         compared=comparison.exact.size,
         predictive=float(np.mean(predictive)) if predictive.size else 0.0,
         ended=points - count,
-        kinked=kinked,
+        kinked=kink_shares(comparison.kink, metrics, coordinates.names),
         disagreeing=[disagreement(comparison, place, metrics, tuned) for place in comparison.worst()],
         **comparison.shares,
     )
+
+
+def kink_shares(kink: np.ndarray, metrics: Sequence[str], numbers: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Share of the points at which a metric has a kink along a tuned number, by metric and number; 0 without points.
+
+    Args:
+        kink: Whether there is a kink, shape (metrics, points, tuned numbers).
+        metrics: Names of the metrics.
+        numbers: Names of the tuned numbers.
+    """
+    shares = np.mean(kink, axis=1) if kink.shape[1] else np.zeros((len(metrics), len(numbers)))
+    by_metric = {}
+    for metric, row in zip(metrics, shares.tolist(), strict=True):
+        by_metric[metric] = dict(zip(numbers, row, strict=True))
+    return by_metric
 
 
 def coordinate_shifts(tuned_count: int) -> np.ndarray:
