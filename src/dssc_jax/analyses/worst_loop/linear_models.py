@@ -134,7 +134,7 @@ def to_modes(matrices: np.ndarray, channels: int) -> np.ndarray:
         return result
     _, modes = np.linalg.eig(a)
     if np.linalg.cond(modes) > MOST_PARALLEL:
-        _, modes = schur(a, output="complex")
+        modes = schur(a, output="complex")[1]
     result[:, :-channels] = np.linalg.solve(modes, result[:, :-channels])
     result[:, :, :-channels] = result[:, :, :-channels] @ modes
     return result
