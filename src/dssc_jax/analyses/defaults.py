@@ -3,47 +3,65 @@
 This module imports nothing, so that the command line's help is fast.
 """
 
-POINTS, BISECTIONS = 17, 14
-"""Margin: values of the bracketing grid, and bisections of the cell that contains the first failure."""
-MOST_POINTS, MOST_BISECTIONS = 1000, 52
+# margin
+POINTS = 17  # values of the bracketing grid
+MOST_POINTS = 1000
+BISECTIONS = 14  # bisections of the cell that contains the first failure
+MOST_BISECTIONS = 52
 
-CANDIDATES, TUNING_DRAWS = 64, 64
-"""Comparison: gains tried for each controller, and draws on which each is tried."""
-MOST_CANDIDATES = 100_000
-"""Largest number of candidates, or of draws for each."""
+# comparison
+CANDIDATES = 64  # gains tried for each controller
+TUNING_DRAWS = 64  # draws on which each is tried
+MOST_CANDIDATES = 100_000  # largest number of candidates, or of draws for each
 
-BUDGET, LEAST_BUDGET, MOST_BUDGET = 1000, 32, 10**7
-"""Simulations of a falsification: default, least and most."""
+# falsification
+BUDGET = 1000  # simulations
+LEAST_BUDGET = 32
+MOST_BUDGET = 10**7
+WORST_DRAWS = 3  # worst draws that a report simulates again
 
-WORST_DRAWS = 3
-"""Worst draws that a report simulates again."""
+# robust tuning
+ROUNDS = 5  # largest number of rounds
 
-ROUNDS = 5
-"""Largest number of rounds of a robust tuning."""
+# rare failures by splitting
+PARTICLES = 200  # particles of each repeat
+LEAST_PARTICLES = 10
+MOVES = 5  # moves of a clone at each level
+REPEATS = 20  # independent repeats
+LEAST_REPEATS = 10
+PLAIN = 4096  # plain draws
 
-PARTICLES, MOVES, REPEATS, PLAIN = 200, 5, 20, 4096
-"""Splitting: particles of each repeat, moves of a clone at each level, independent repeats, plain draws."""
-LEAST_PARTICLES, LEAST_REPEATS = 10, 10
+# rare failures by importance sampling
+VARIATION = 0.1  # coefficient of variation to reach
+MOST_WEIGHTED = 20_000  # largest number of weighted points
+FEWER_PLAIN = 512  # plain draws
 
-VARIATION, MOST_WEIGHTED, FEWER_PLAIN = 0.1, 20_000, 512
-"""Importance sampling: coefficient of variation to reach, largest number of weighted points, plain draws."""
+# failure probability
+WIDTH = 0.02  # width of the interval
+MOST_STRATIFIED = 1_000_000  # largest number of draws in the strata
 
-WIDTH, MOST_STRATIFIED = 0.02, 1_000_000
-"""Failure probability: width of the interval, and largest number of draws in the strata."""
+# selection
+RACED = 1024  # candidates
+KEPT = 10  # how many are chosen
+INDIFFERENCE = 0.02  # difference that does not matter
+MOST_RACED = 1_000_000  # largest number of simulations
 
-RACED, KEPT, INDIFFERENCE, MOST_RACED = 1024, 10, 0.02, 1_000_000
-"""Selection: candidates, how many are chosen, difference that does not matter, largest number of simulations."""
+# region
+HALVINGS = 3  # how often the cells of the coarse lattice are halved
 
-HALVINGS = 3
-"""Region: how often the cells of the coarse lattice are halved."""
+# worst wind
+SEGMENTS = 100  # parts of the flight, in each of which a wind is constant
+LEAST_SEGMENTS = 2
+MOST_SEGMENTS = 400
+CLIMBS = 10  # largest number of steps of a climb
+MOST_CLIMBS = 1000
 
-SEGMENTS, CLIMBS = 100, 10
-"""Worst wind: parts of the flight in each of which a wind is constant, and largest number of steps of a climb."""
-LEAST_SEGMENTS, MOST_SEGMENTS, MOST_CLIMBS = 2, 400, 1000
-LIMIT = 0.05
-"""Laws: largest failure probability allowed."""
+# laws
+LIMIT = 0.05  # largest failure probability allowed
 
-CELLS, MOST_CELLS, SIGMA = 10_000, 10**7, 3.0
-"""Worst loop: parts of box and frequencies for each loop; standard deviations at which laws without ends are cut."""
-DERIVATIVES, MOST_LINEARISED = 1_000_000, 10**8
-"""Worst loop: derivatives that the default number of points takes; largest number of points."""
+# worst loop
+CELLS = 10_000  # parts of box and frequencies for each loop
+MOST_CELLS = 10**7
+SIGMA = 3.0  # standard deviations at which laws without ends are cut
+DERIVATIVES = 1_000_000  # derivatives that the default number of points takes
+MOST_LINEARISED = 10**8  # largest number of points

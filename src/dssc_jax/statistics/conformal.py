@@ -94,11 +94,11 @@ def count_probabilities(flights: ArrayLike, counts: np.ndarray, draws: int) -> n
         draws: Number of draws that give the line.
     """
     rank = line_rank(draws)
-    within = np.maximum(np.subtract(flights, counts), 0)  # flights that do not lie beyond the line
+    flights_within = np.maximum(np.subtract(flights, counts), 0)
     log_probability = (
         -np.log(np.add(flights, 1.0))
-        - special.betaln(counts + 1.0, within + 1.0)  # with the line before: ln of the binomial coefficient
-        + special.betaln(counts + rank, within + draws + 1.0 - rank)
+        - special.betaln(counts + 1.0, flights_within + 1.0)  # with the line before: ln of the binomial coefficient
+        + special.betaln(counts + rank, flights_within + draws + 1.0 - rank)
         - special.betaln(rank, draws + 1.0 - rank)
     )
     return np.where(counts <= np.asarray(flights), np.exp(log_probability), 0.0)

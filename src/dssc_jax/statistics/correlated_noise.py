@@ -29,6 +29,7 @@ from dssc_jax.statistics.simulated_noise import SimulatedNoise
 SHORT = 0.3  # gap in time constants below which the closed forms cancel; a quadrature or a series replaces them
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 EQUAL_GAPS = 1e-9  # relative difference below which gaps count as equal
+TINY = 1e-300  # in place of 0 in a denominator or a logarithm
 RANK = 1e-10  # share of the largest eigenvalue below which a direction counts as undetermined
 
 
@@ -148,7 +149,11 @@ class Drift(NamedTuple):
         return w - 3.0 + (4.0 * (1.0 - decay) - 0.5 * (1.0 - decay**2)) / w
 
     def covariance(self, first: np.ndarray | float, second: np.ndarray | float) -> np.ndarray:
-        """Covariance of the drift between two times since its start [s], of their broadcast shape."""
+        """Covariance of the drift between two times since its start [s], of their broadcast shape.
+
+        From the earlier time on, p is expected to change by v (1 - exp(-w)) over w time constants T, with the v of that
+        time.
+        """
         earlier = np.minimum(first, second) / self.time
         relaxation = -np.expm1(-np.abs(first - second) / self.time)
         return (drift_variance(earlier) + np.expm1(-earlier) ** 2 * relaxation) / self.mean_square
@@ -221,7 +226,21 @@ def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> fl
     return float(trace * sampled_trace / sampled_squares)
 
 
-def precision_matrix(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray) -> tuple[np.ndarray, float, int]:
+class StatePrecision(NamedTuple):
+    """Precision matrix of the states of a noise's correlated part at n times together.
+
+    Args:
+        bands: Lower bands of the matrix, as SciPy stores them, shape (2 p, n p).
+        log_determinant: Logarithm of its determinant.
+        size: Length p of a state.
+    """
+
+    bands: np.ndarray
+    log_determinant: float
+    size: int
+
+
+def state_precision(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray) -> StatePrecision:
     """Precision matrix of the states of the correlated part at all times together, for a variance of 1.
 
     A drift starts at 0 a median gap before the first time.
@@ -229,11 +248,6 @@ def precision_matrix(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray)
     Args:
         noise: The noise; its share does not matter.
         times: Times of observation, rising [s], shape (n,).
-
-    Returns:
-        - Lower bands of the matrix, as SciPy stores them, shape (2 p, n p).
-        - Logarithm of its determinant.
-        - Length p of a state.
     """
     gaps = np.diff(times)
     median_gap = np.array([np.median(gaps)])
@@ -254,7 +268,7 @@ def precision_matrix(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray)
     _, gap_log_determinants = np.linalg.slogdet(covariance)
     _, initial_log_determinant = np.linalg.slogdet(initial_covariance)
     log_determinant = -(len(times) - 1) * float(gap_log_determinants.mean()) - float(initial_log_determinant)
-    return lower_bands(diagonal, subdiagonal), log_determinant, size
+    return StatePrecision(lower_bands(diagonal, subdiagonal), log_determinant, size)
 
 
 def lower_bands(diagonal: np.ndarray, subdiagonal: np.ndarray) -> np.ndarray:
@@ -293,7 +307,7 @@ def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> t
     if noise.share == 0.0:
         return plain, 0.0
     white = 1.0 - noise.share
-    bands, log_det_precision, size = precision_matrix(noise, times)
+    bands, log_det_precision, size = state_precision(noise, times)
     # S = share H P^-1 H' + white 1, where H reads the outputs from the states, of precision P; with the matrix
     # M = H' H + white/share P, S^-1 = (1 - H M^-1 H')/white and det S = white^n (share/white)^(n p) det M/det P
     bands *= white / noise.share
@@ -342,14 +356,17 @@ def fit_noise(noise: Noise, times: np.ndarray, columns: np.ndarray, floor: float
     products, log_det = weighted_products(noise, times, columns)
     information = products[1:, 1:]  # up to the variance, as the gradient
     gradient = products[1:, 0]
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    is_determined = values > RANK * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, bool)
-    projections = vectors[:, is_determined].T @ (gradient / scale)
-    square = float(products[0, 0] - np.sum(projections**2 / values[is_determined]))  # weighted sum after the fit
-    freedom = len(times) - int(is_determined.sum())
-    square = max(square, floor * freedom, 1e-300)
-    log_det += float(np.log(values[is_determined]).sum()) + 2.0 * float(np.log(scale).sum())
+    scale = np.sqrt(np.maximum(np.diag(information), TINY))
+    eigenvalues, eigenvectors = np.linalg.eigh(information / np.outer(scale, scale))
+    is_determined = np.zeros(0, bool)  # without fitted numbers
+    if len(eigenvalues):
+        is_determined = eigenvalues > RANK * max(float(eigenvalues[-1]), TINY)
+    determined_eigenvalues = eigenvalues[is_determined]
+    projections = eigenvectors[:, is_determined].T @ (gradient / scale)
+    fitted_square = float(products[0, 0] - np.sum(projections**2 / determined_eigenvalues))  # residual after the fit
+    freedom = len(times) - len(determined_eigenvalues)
+    square = max(fitted_square, floor * freedom, TINY)
+    log_det += float(np.log(determined_eigenvalues).sum()) + 2.0 * float(np.log(scale).sum())
     variance = square / max(freedom - 2, 1)
     log_likelihood = -0.5 * (log_det + freedom * math.log(square))
     return NoiseFit(log_likelihood, variance, information / variance, gradient / variance)

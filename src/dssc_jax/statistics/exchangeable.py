@@ -76,9 +76,9 @@ def distances_from_median(curves: np.ndarray, tested: np.ndarray) -> tuple[np.nd
 def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Largest departure of each curve in each signal, and all departures of the tested curve.
 
-    A departure is the distance from the pointwise median, in units of the pointwise median absolute deviation, or of
-    a floor where the curves hardly differ. Medians are taken over all n + 1 curves, which makes the test exact. Signals
-    without spread (:func:`spread_signals`) are left out.
+    A departure is the distance from the pointwise median, in units of the pointwise median absolute deviation. Where
+    the curves hardly differ, the unit is a floor (:data:`FLOOR`, :data:`LEAST_SPREAD`). Medians are taken over all
+    n + 1 curves, which makes the test exact. Signals without spread (:func:`spread_signals`) are left out.
 
     Args:
         curves: Shape (n, signals, times). NaN: the curve has ended, which counts as infinitely far.
@@ -99,12 +99,12 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
     for signal in np.flatnonzero(spread_signals(curves, tested)):
         times = is_measured[signal]
         distance, size = distances_from_median(curves[:, signal, times], tested[signal, times])
-        finite = np.where(np.isinf(distance), np.nan, distance)
-        spread = np.nanmedian(finite, axis=0)
-        scale = np.sqrt(np.mean(spread**2))
-        if scale == 0.0:  # most curves are equal at every time
-            scale = np.sqrt(np.nanmean(finite**2))
-        floor = max(FLOOR * scale, LEAST_SPREAD * size)
+        finite_distance = np.where(np.isinf(distance), np.nan, distance)
+        spread = np.nanmedian(finite_distance, axis=0)
+        typical_spread = np.sqrt(np.mean(spread**2))
+        if typical_spread == 0.0:  # most curves are equal at every time
+            typical_spread = np.sqrt(np.nanmean(finite_distance**2))
+        floor = max(FLOOR * typical_spread, LEAST_SPREAD * size)
         departures = distance / np.maximum(spread, floor)
         largest[:, signal] = departures.max(axis=1)
         departures_of_tested[signal, times] = departures[-1]
@@ -202,7 +202,7 @@ class Yardstick(NamedTuple):
 
     @classmethod
     def of(cls, curves: np.ndarray) -> "Yardstick":
-        """Median and spread of curves.
+        """Median and spread of curves; a signal in which all curves are equal, but for rounding, has no spread.
 
         Args:
             curves: Shape (n, signals, times); at least one must be finite at each time.

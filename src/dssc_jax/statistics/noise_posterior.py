@@ -18,33 +18,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, special, stats
 
-from dssc_jax.statistics.correlated_noise import (
-    WHITE,
-    Drift,
-    FirstOrder,
-    Noise,
-    NoiseFit,
-    SecondOrder,
-    fit_noise,
-    weighted_products,
-)
+from dssc_jax.statistics.correlated_noise import WHITE, Noise, NoiseFit, fit_noise, weighted_products
+from dssc_jax.statistics.noise_kinds import NOISE_KINDS, NoiseKind, TimeScale, logit, noise_of_share, sigmoid
 from dssc_jax.statistics.simulated_noise import NoiseShape, SimulatedNoise
 
 WHITE_PRIOR = 0.1  # prior probability of white noise; the kinds of correlated noise share the remainder
-SHARE_WIDTH = 2.0  # prior standard deviation of logit c: one deviation either side is 12 to 88 %
-DAMPING_MIDDLE = 1.0  # prior mean of logit zeta
-DAMPING_WIDTH = 1.5  # prior standard deviation of logit zeta: 14 to 92 %
-TIME_WIDTHS = 6.0  # prior standard deviations of log T from the median gap to the whole span
 NOISE_SAMPLES = 64  # samples of the posterior law of each kind
 FREEDOM = 4.0  # degrees of freedom of Student's t, the proposal law of these samples
 PROPOSAL_WIDTH = 1.2  # width of the proposal law relative to the posterior law at its mode
 MODE_STARTS = (-1.2, 0.0, 1.2)  # starts of the search for the mode, in each coordinate
-LARGEST_LOGIT = 13.8  # bound of |logit c|: a share and its complement are at least 1e-6
 LEAST_GAP = 0.2  # least gap between two times, as a share of the median gap
-LONGEST = 1000.0  # longest time constant of the second order in median gaps; longer time constants are lost in rounding
 ROUNDING_VARIANCE = 10.0  # multiple of the least variance below which a residual counts as rounding, and as white
-LEAST_DAMPING = 0.02
-MOST_DAMPING = 0.98
 
 
 class Candidate(NamedTuple):
@@ -94,99 +78,8 @@ class Mode(NamedTuple):
     def evidence(self) -> float:
         """Logarithm of the integral of the density."""
         size = len(self.point)
-        return self.density + 0.5 * size * math.log(2.0 * math.pi) + float(np.linalg.slogdet(self.spread)[1])
-
-
-def sigmoid(x: float) -> float:
-    """The share with a given logit, which is limited to +-:data:`LARGEST_LOGIT`."""
-    return float(special.expit(np.clip(x, -LARGEST_LOGIT, LARGEST_LOGIT)))
-
-
-def logit(share: float) -> float:
-    """Logit ln(c/(1 - c)) of a share c, limited to +-:data:`LARGEST_LOGIT`."""
-    return float(np.clip(special.logit(share), -LARGEST_LOGIT, LARGEST_LOGIT))
-
-
-class TimeScale(NamedTuple):
-    """Gap and span of the times of observation, which set the prior law of a time constant.
-
-    Args:
-        gap: Median gap between two times [s].
-        span: Time from the first to the last [s].
-    """
-
-    gap: float
-    span: float
-
-    def time_constant_at(self, score: float) -> float:
-        """Time constant [s] at a standard normal score of its prior law.
-
-        The law is log-normal, with its median at the geometric mean of gap and span, within 0.1 gap and 3 span.
-        """
-        middle = 0.5 * math.log(self.gap * self.span)
-        width = math.log(self.span / self.gap) / TIME_WIDTHS
-        shortest = math.log(0.1 * self.gap)
-        longest = math.log(3.0 * self.span)
-        return math.exp(min(max(middle + width * score, shortest), longest))
-
-
-def first_order_noise(point: np.ndarray, scale: TimeScale) -> Noise:
-    """First-order noise whose time constant and share have given scores of their prior laws.
-
-    Args:
-        point: Standard normal scores of the time constant and of the share, shape (2,).
-        scale: Gap and span of the times of observation.
-    """
-    time_score, share_score = point
-    return FirstOrder(sigmoid(SHARE_WIDTH * share_score), scale.time_constant_at(time_score))
-
-
-def second_order_noise(point: np.ndarray, scale: TimeScale) -> Noise:
-    """Second-order noise whose time constant, share and damping have given scores of their prior laws.
-
-    Args:
-        point: Standard normal scores of the time constant, of the share and of the damping ratio, shape (3,).
-        scale: Gap and span of the times of observation.
-    """
-    time_score, share_score, damping_score = point
-    damping = sigmoid(DAMPING_MIDDLE + DAMPING_WIDTH * damping_score)
-    return SecondOrder(
-        share=sigmoid(SHARE_WIDTH * share_score),
-        time=min(scale.time_constant_at(time_score), LONGEST * scale.gap),
-        damping=min(max(damping, LEAST_DAMPING), MOST_DAMPING),
-    )
-
-
-def drift_noise(point: np.ndarray, scale: TimeScale) -> Noise:
-    """Drift whose time constant and share have given scores of their prior laws.
-
-    Args:
-        point: Standard normal scores of the time constant and of the share, shape (2,).
-        scale: Gap and span of the times of observation.
-    """
-    time_score, share_score = point
-    span = scale.span + scale.gap  # the drift starts a gap before the first time
-    return Drift(sigmoid(SHARE_WIDTH * share_score), min(scale.time_constant_at(time_score), span), span)
-
-
-NOISE_KINDS: tuple[tuple[Callable[[np.ndarray, TimeScale], Noise], int], ...] = (
-    (first_order_noise, 2),
-    (second_order_noise, 3),
-    (drift_noise, 2),
-)
-"""Kinds of correlated noise: (function that makes the noise at a point of scores, number of scores)."""
-
-
-def noise_of_share(simulated: SimulatedNoise, point: np.ndarray, scale: TimeScale) -> Noise:
-    """A simulated noise with another share c, at a score of a prior law of logit c around the simulated share.
-
-    Args:
-        simulated: The noise of simulations.
-        point: The standard normal score, shape (1,).
-        scale: The time scale, on which a simulated shape does not depend.
-    """
-    (share_score,) = point
-    return simulated._replace(share=sigmoid(logit(simulated.share) + SHARE_WIDTH * share_score))
+        _, log_determinant = np.linalg.slogdet(self.spread)
+        return self.density + 0.5 * size * math.log(2.0 * math.pi) + float(log_determinant)
 
 
 def noise_of_simulations(times: np.ndarray, simulated: np.ndarray, white: float) -> tuple[SimulatedNoise, float] | None:
@@ -319,23 +212,23 @@ class NoiseSearch:
         self.least_white = least_white
         self.white = fit_noise(WHITE, self.times, columns, floor)
         self.scale = TimeScale(float(np.median(np.diff(self.times))), float(self.times[-1] - self.times[0]))
-        self.kinds = NOISE_KINDS
+        self.kinds: tuple[NoiseKind, ...] = NOISE_KINDS
         noise_and_variance = None if simulated is None else noise_of_simulations(times, simulated, least_white)
         if noise_and_variance is not None:
             simulated_noise, _ = noise_and_variance
-            simulated_kind = (partial(noise_of_share, simulated_noise), 1)
+            simulated_kind = NoiseKind(partial(noise_of_share, simulated_noise), 1)
             self.kinds = (simulated_kind,) if only_simulated else (*NOISE_KINDS, simulated_kind)
         is_rounding = self.white.variance <= ROUNDING_VARIANCE * floor
         if is_rounding:
             self.kinds = ()
-        self.modes = [find_mode(partial(self.log_density, kind), size) for kind, size in self.kinds]
+        self.modes = [find_mode(partial(self.log_density, kind), kind.scores) for kind in self.kinds]
 
-    def log_density(self, kind: Callable[..., Noise], point: np.ndarray) -> float:
+    def log_density(self, kind: NoiseKind, point: np.ndarray) -> float:
         """Logarithm of the posterior density of a kind of noise at a point of scores, relative to white noise."""
         log_density, _ = self.fit_at(kind, point)
         return log_density
 
-    def fit_at(self, kind: Callable[..., Noise], point: np.ndarray) -> tuple[float, NoiseFit]:
+    def fit_at(self, kind: NoiseKind, point: np.ndarray) -> tuple[float, NoiseFit]:
         """Fit the residual under a kind of noise at a point of scores.
 
         Returns:
@@ -343,7 +236,7 @@ class NoiseSearch:
             squares are singular. Then the least squares.
         """
         try:
-            fit = fit_noise(kind(point, self.scale), self.times, self.columns, self.floor)
+            fit = fit_noise(kind.noise_at(point, self.scale), self.times, self.columns, self.floor)
         except np.linalg.LinAlgError:
             return -math.inf, self.white
         prior = -0.5 * float(point @ point) - 0.5 * len(point) * math.log(2.0 * math.pi)
@@ -358,10 +251,10 @@ class NoiseSearch:
         if max(log_odds) <= 0.0:
             return self.with_least_white(WHITE, self.white)
         best = int(np.argmax(log_odds))
-        kind, _ = self.kinds[best]
+        kind = self.kinds[best]
         point = self.modes[best].point
         _, fit = self.fit_at(kind, point)
-        return self.with_least_white(kind(point, self.scale), fit)
+        return self.with_least_white(kind.noise_at(point, self.scale), fit)
 
     def with_least_white(self, noise: Noise, fit: NoiseFit) -> tuple[Noise, NoiseFit]:
         """Raise the white part of a noise to its least variance, and repeat the least squares with that noise."""
@@ -382,12 +275,12 @@ class NoiseSearch:
         log_weights = [math.log(WHITE_PRIOR)]
         fits = [self.with_least_white(WHITE, self.white)]
         log_prior_of_sample = math.log((1.0 - WHITE_PRIOR) / max(len(self.kinds), 1) / NOISE_SAMPLES)
-        for (kind, _), mode in zip(self.kinds, self.modes, strict=True):
+        for kind, mode in zip(self.kinds, self.modes, strict=True):
             points, log_proposals = draw_points(mode)
             for point, log_proposal in zip(points, log_proposals, strict=True):
                 log_density, fit = self.fit_at(kind, point)
                 log_weights.append(log_prior_of_sample + log_density - log_proposal)
-                fits.append(self.with_least_white(kind(point, self.scale), fit))
+                fits.append(self.with_least_white(kind.noise_at(point, self.scale), fit))
         weights = np.exp(np.array(log_weights) - max(log_weights))
         weights /= weights.sum()
         candidates = []

@@ -115,11 +115,13 @@ def difference_interval(
     theta = clopper_pearson(discordant, n, 1.0 - DISCORDANCE * error)
     pi = clopper_pearson(a, np.maximum(discordant, 1), 1.0 - (1.0 - DISCORDANCE) * error)
     pi = np.where((discordant == 0)[..., None], [0.0, 1.0], pi)  # nothing is known of pi
-    least, most = theta[..., 0], theta[..., 1]
+    theta_low = theta[..., 0]
+    theta_high = theta[..., 1]
     balance = 2.0 * pi - 1.0  # interval of the difference in a discordant draw
-    balance_low, balance_high = balance[..., 0], balance[..., 1]
-    low = np.where(balance_low >= 0.0, least, most) * balance_low
-    high = np.where(balance_high >= 0.0, most, least) * balance_high
+    balance_low = balance[..., 0]
+    balance_high = balance[..., 1]
+    low = np.where(balance_low >= 0.0, theta_low, theta_high) * balance_low  # the smallest product
+    high = np.where(balance_high >= 0.0, theta_high, theta_low) * balance_high
     return np.stack([low, high], axis=-1)
 
 

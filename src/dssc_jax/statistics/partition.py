@@ -46,8 +46,8 @@ def part_information(
     """Estimate what it is worth to know in which part of its law a number lies.
 
     The interval of the removed share is Student's t, with B - 1 degrees of freedom and the variance of a mean over
-    pairs. The interval of the probability of another decision counts the parts that certainly, or possibly, lie on the
-    other side of the limit, by exact intervals that hold for all parts together.
+    pairs. The interval of the probability of another decision follows from exact intervals that hold for all parts
+    together.
 
     Args:
         levels: Level of the number in its law in each draw, in (0, 1), shape (n,).
@@ -63,19 +63,35 @@ def part_information(
     if parts < 2:
         return None
     part_of_draw = np.minimum((levels * parts).astype(int), parts - 1)
-    counts = np.bincount(part_of_draw[failed], minlength=parts)
-    sizes = np.bincount(part_of_draw, minlength=parts)
-    removed, removed_interval = removed_share(counts, len(failed), confidence)
-    intervals = clopper_pearson(counts, np.maximum(sizes, 1), 1.0 - (1.0 - confidence) / parts)
-    is_above = counts > limit * sizes
+    failures_in_parts = np.bincount(part_of_draw[failed], minlength=parts)
+    draws_in_parts = np.bincount(part_of_draw, minlength=parts)
+    removed, removed_interval = removed_share(failures_in_parts, len(failed), confidence)
+    changes, changes_interval = changing_share(failures_in_parts, draws_in_parts, limit, confidence)
+    return PartInformation(parts, removed, removed_interval, changes, changes_interval)
+
+
+def changing_share(
+    failures: np.ndarray, draws: np.ndarray, limit: float, confidence: float
+) -> tuple[float, tuple[float, float]]:
+    """Share of the parts that change the decision, and its interval.
+
+    A part changes the decision if its failure probability lies on the other side of the limit than that of all draws.
+    The ends of the interval count the parts that certainly and that possibly do.
+
+    Args:
+        failures: Number of failed draws in each part, shape (B,).
+        draws: Number of draws in each part, shape (B,).
+        limit: Largest failure probability allowed.
+        confidence: Coverage for all parts together, in (0, 1).
+    """
+    intervals = clopper_pearson(failures, np.maximum(draws, 1), 1.0 - (1.0 - confidence) / len(failures))
+    is_above = failures > limit * draws
     surely_above = intervals[:, 0] > limit
     possibly_above = intervals[:, 1] > limit
-    all_below = failures <= limit * len(failed)
-    if all_below:  # parts above the limit change the decision
-        changes, low, high = is_above.mean(), surely_above.mean(), possibly_above.mean()
-    else:
-        changes, low, high = (~is_above).mean(), (~possibly_above).mean(), (~surely_above).mean()
-    return PartInformation(parts, removed, removed_interval, float(changes), (float(low), float(high)))
+    decision_is_below = failures.sum() <= limit * draws.sum()
+    if decision_is_below:
+        return float(is_above.mean()), (float(surely_above.mean()), float(possibly_above.mean()))
+    return float((~is_above).mean()), (float((~possibly_above).mean()), float((~surely_above).mean()))
 
 
 def removed_share(counts: np.ndarray, draws: int, confidence: float) -> tuple[float, tuple[float, float]]:

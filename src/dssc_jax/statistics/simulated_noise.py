@@ -55,7 +55,8 @@ class NoiseShape(NamedTuple):
         first_products = np.zeros((lags, lags + 1, lags + 1))
         for order in range(lags):  # number of readings that predict
             width = order + 1
-            first_products[order, :width, :width] = mean_products(scaled[:, : 2 * order + 1], order)
+            around_reading = scaled[:, : 2 * order + 1]  # as many readings after it as before
+            first_products[order, :width, :width] = mean_products(around_reading, order)
         products = mean_products(scaled, lags)
         later_products = np.zeros((lags + 1, lags + 1, lags + 1))
         for order in range(lags + 1):

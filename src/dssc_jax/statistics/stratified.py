@@ -36,15 +36,12 @@ def stratified_interval(
     Returns:
         Lower and upper limit, within [0, 1].
     """
-    shares = failures / draws
     mean = weights.mean(axis=0)
     passes = draws - failures
-    dense = np.minimum(failures, passes) >= DENSE
-    limits = clopper_pearson(failures[dense], draws[dense], confidence)
-    squares_below = np.sum(np.square(mean[dense] * (shares[dense] - limits[:, 0])))
-    squares_above = np.sum(np.square(mean[dense] * (limits[:, 1] - shares[dense])))
-    has_few_passes = ~dense & (failures > passes)
-    has_few_failures = ~dense & ~has_few_passes
+    is_dense = np.minimum(failures, passes) >= DENSE
+    squares_below, squares_above = dense_squares(mean[is_dense], failures[is_dense], draws[is_dense], confidence)
+    has_few_passes = ~is_dense & (failures > passes)
+    has_few_failures = ~is_dense & ~has_few_passes
     event_weights = mean / draws
     below, above = limit_distances(event_weights[has_few_failures], failures[has_few_failures], confidence)
     squares_below += below**2
@@ -52,14 +49,31 @@ def stratified_interval(
     below, above = limit_distances(event_weights[has_few_passes], passes[has_few_passes], confidence)
     squares_below += above**2  # more passes: fewer failures
     squares_above += below**2
-    estimate_of_net = weights @ shares
+    estimate_of_net = weights @ (failures / draws)
     nets = len(estimate_of_net)
-    net_deviation = estimate_of_net.std(ddof=1)
-    half = special.stdtrit(nets - 1, 0.5 * (1.0 + confidence)) * net_deviation / np.sqrt(nets)
+    half = special.stdtrit(nets - 1, 0.5 * (1.0 + confidence)) * estimate_of_net.std(ddof=1) / np.sqrt(nets)
     estimate = estimate_of_net.mean()
     low = estimate - np.sqrt(squares_below + half**2)
     high = estimate + np.sqrt(squares_above + half**2)
     return float(max(0.0, low)), float(min(1.0, high))
+
+
+def dense_squares(
+    weights: np.ndarray, failures: np.ndarray, draws: np.ndarray, confidence: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums over strata of the squared distances of the lower and of the upper exact limit from the estimate.
+
+    Args:
+        weights: Probability of each stratum, shape (strata,).
+        failures: Number of failed draws in each stratum, shape (strata,).
+        draws: Number of draws in each stratum, shape (strata,).
+        confidence: Coverage, in (0, 1).
+    """
+    shares = failures / draws
+    limits = clopper_pearson(failures, draws, confidence)
+    squares_below = np.sum(np.square(weights * (shares - limits[:, 0])))
+    squares_above = np.sum(np.square(weights * (limits[:, 1] - shares)))
+    return squares_below, squares_above
 
 
 def limit_distances(weights: np.ndarray, counts: np.ndarray, confidence: float) -> tuple[float, float]:

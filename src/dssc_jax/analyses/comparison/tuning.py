@@ -116,15 +116,15 @@ def untuned_reason(study: Study, controller: str) -> str:
     names = usual_gains(study)
     causes = [f"{name} {untuned_cause(numbers.get(name))}" for name in names]
     reason = f"of its usual gains {', '.join(causes)}" if causes else "it declares no usual gains"
-    others = []
+    further_names = []
     for name, number in numbers.items():
         key, _, _ = name.partition(".")
         is_given = key in study.config.controller
         if name not in names and is_given and untuned_cause(number) == "":
-            others.append(name)
-    if not others:
+            further_names.append(name)
+    if not further_names:
         return reason
-    return f"{reason}; [compare.{controller}.tune] may name others: {', '.join(others)}"
+    return f"{reason}; [compare.{controller}.tune] may name others: {', '.join(further_names)}"
 
 
 def untuned_cause(number: Number | None) -> str:

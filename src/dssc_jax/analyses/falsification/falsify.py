@@ -24,7 +24,13 @@ from dssc_jax.analyses.falsification.answer import (
     value_text,
 )
 from dssc_jax.analyses.falsification.conditions import require_falsifiable, require_label, without_other_margins
-from dssc_jax.analyses.falsification.search import RAN_TO_END, SearchPrograms, SimulatedPoints, WorstDrawSearch
+from dssc_jax.analyses.falsification.search import (
+    RAN_TO_END,
+    SearchPrograms,
+    SimulatedPoints,
+    WorstDrawSearch,
+    join_batches,
+)
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
 from dssc_jax.closed_loop.metrics.requirements import Requirement, counted_places
 from dssc_jax.core.quantities import unit_and_meaning
@@ -89,17 +95,18 @@ class Falsified(Analysis):
             stopped: Why the search stopped before its budget was spent; empty if it spent it.
             requirement: Label of the only requirement that counts; empty: all count.
         """
-        simulated = SimulatedPoints(*(np.concatenate(parts) for parts in zip(*batches, strict=True)))
+        simulated = join_batches(batches)
         study = region.study
         distances = region.distances(simulated.points)
+        bound_meaning = "slack of the worst requirement in its metric's unit"
         columns = {  # values, unit, meaning
             "slack": (simulated.slacks, "1", "signed slack"),
             "binding": (simulated.binding, "1", "index of the worst requirement"),
-            "distance_to_bound": (simulated.distances, NO_UNIT, "slack of the worst requirement in its metric's unit"),
+            "distance_to_bound": (simulated.distances_to_bound, NO_UNIT, bound_meaning),
             "simulations": (simulated.simulation_counts, "1", "simulations spent until then"),
             "ended": (simulated.ended, "1", "outcome code of a draw that ended early, else 0"),
             "failed_at": (simulated.failed_at, "s", "time at which it ended early (NaN: it did not)"),
-            "first": (simulated.first, "1", "index of the requirement that it violated first, else -1"),
+            "first": (simulated.first_violated, "1", "index of the requirement that it violated first, else -1"),
             "violated_at": (simulated.violated_at, "s", "time at which that was certain (NaN: none was violated)"),
             "distance": (distances, "1", "distance from the median draw in standard normal scores"),
             "log_density": (-0.5 * distances**2, "1", "logarithm of the scores' density relative to the mode"),

@@ -1,5 +1,6 @@
 """The search of ``falsify``: points spread evenly, projected gradients, then differential evolution."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -101,11 +102,11 @@ class SimulatedPoints(NamedTuple):
         points: Coordinates, shape (n, laws).
         slacks: Slack of the worst requirement, relative to the scale of that requirement, shape (n,).
         binding: Index of that requirement, shape (n,).
-        distances: Slack of that requirement in its metric's unit, shape (n,).
+        distances_to_bound: Slack of that requirement in its metric's unit, shape (n,).
         simulation_counts: Simulations spent until then, shape (n,).
         ended: Outcome code of a draw that ended early; 0 if it ran to its end, shape (n,).
         failed_at: Time at which the draw ended early [s]; NaN if it ran to its end, shape (n,).
-        first: Index of the requirement that is violated first, before the draw ends; -1 if none is, shape (n,).
+        first_violated: Index of the requirement that is violated first, before the draw ends; -1: none, shape (n,).
         violated_at: Time at which that violation is certain [s]; NaN if there is none, shape (n,).
         single_slacks: Slack of every requirement in its metric's unit, shape (n, requirements).
     """
@@ -113,13 +114,18 @@ class SimulatedPoints(NamedTuple):
     points: np.ndarray
     slacks: np.ndarray
     binding: np.ndarray
-    distances: np.ndarray
+    distances_to_bound: np.ndarray
     simulation_counts: np.ndarray
     ended: np.ndarray
     failed_at: np.ndarray
-    first: np.ndarray
+    first_violated: np.ndarray
     violated_at: np.ndarray
     single_slacks: np.ndarray
+
+
+def join_batches(batches: Sequence[SimulatedPoints]) -> SimulatedPoints:
+    """All simulated points of a search, in the order in which they were simulated."""
+    return SimulatedPoints(*(np.concatenate(columns) for columns in zip(*batches, strict=True)))
 
 
 @dataclass
@@ -190,17 +196,17 @@ class WorstDrawSearch:
         slacks = worst_slack(self.relevant_requirements, results)
         binding = places[binding_requirement(self.relevant_requirements, results)]
         single_slacks = np.array([results[requirement.name] for requirement in self.requirements])
-        first, violated_at = first_violation(self.requirements, results)
+        first_violated, violated_at = first_violation(self.requirements, results)
         self.batches.append(
             SimulatedPoints(
                 points=points,
                 slacks=slacks,
                 binding=binding,
-                distances=np.take_along_axis(single_slacks, binding[None], 0)[0],
+                distances_to_bound=np.take_along_axis(single_slacks, binding[None], 0)[0],
                 simulation_counts=self.simulation_count + cost * np.arange(1, len(points) + 1),
                 ended=np.where(ended_early(results["outcome"]), results["outcome"], RAN_TO_END),
                 failed_at=results["failed_at"],
-                first=first,
+                first_violated=first_violated,
                 violated_at=violated_at,
                 single_slacks=single_slacks.T,
             )
@@ -218,9 +224,9 @@ class WorstDrawSearch:
 
     def worst_points(self, count: int) -> np.ndarray:
         """The points with the smallest slacks so far, the worst first, shape (count, laws)."""
-        points = np.concatenate([batch.points for batch in self.batches])
-        slacks = np.concatenate([batch.slacks for batch in self.batches])
-        return points[np.argsort(slacks, kind="stable")[:count]]
+        simulated = join_batches(self.batches)
+        worst_first = np.argsort(simulated.slacks, kind="stable")
+        return simulated.points[worst_first[:count]]
 
     @property
     def relevant_requirements(self) -> list[Requirement]:
@@ -234,7 +240,7 @@ class WorstDrawSearch:
         """
         places = counted_places(self.requirements, self.requirement)
         scales = np.array([requirement.scale for requirement in self.relevant_requirements])
-        slacks = np.concatenate([batch.single_slacks[:, places] for batch in self.batches]) / scales
+        slacks = join_batches(self.batches).single_slacks[:, places] / scales
         return np.where(np.isnan(slacks), -np.inf, slacks)
 
     def starts(self, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -247,7 +253,7 @@ class WorstDrawSearch:
         Returns:
             The points, shape (count, laws), and the index of the requirement of each descent, shape (count,).
         """
-        points = np.concatenate([batch.points for batch in self.batches])
+        points = join_batches(self.batches).points
         slacks = self.single_slacks()
         most_critical_first = np.argsort(slacks.min(axis=0), kind="stable")
         targets = np.resize(most_critical_first, count)  # repeated in turn

@@ -14,7 +14,8 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.statistics.worst_changes import LargestChange, WeightedDraws
 
-SMALLEST, LARGEST = 2.0**-4, 4.0  # sizes between which the change is doubled until the limit is exceeded
+SMALLEST = 2.0**-4  # size from which the change is doubled until the limit is exceeded
+LARGEST = 4.0  # largest size tried
 HALVINGS = 8  # halvings of the last doubling
 TRIAL = 0.3  # size at which the direction is taken from draws whose weights are not trusted
 TOWARDS_FAILURE = 1.0  # sign that asks for the change with the most failures
@@ -88,8 +89,8 @@ def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, largest: LargestChange,
         """Whether the share of failing draws keeps the limit."""
         return failures(size) <= limit * fresh.count
 
-    bound = largest_size(keeps_limit)
-    estimate = largest_size(keeps_limit_by_estimate)
+    bound = largest_size_by_doubling(keeps_limit)
+    estimate = largest_size_by_doubling(keeps_limit_by_estimate)
     low, high = interval(bound)
     amount = draws.change.amount
     estimated_amount = None if estimate == LARGEST else amount(estimate)  # None: the limit is not reached
@@ -108,7 +109,7 @@ def fresh_limits(fresh: FreshDraws, changes: Sequence[AllChanges], limit: float)
     return FreshLimits(fresh.count, fresh.simulated, limits)
 
 
-def largest_size(holds: Callable[[float], bool]) -> float:
+def largest_size_by_doubling(holds: Callable[[float], bool]) -> float:
     """The size up to which a condition holds, between 0 and :data:`LARGEST`: doubled, then bisected.
 
     Args:

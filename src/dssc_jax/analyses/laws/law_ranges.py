@@ -257,8 +257,9 @@ class DrawSimulator:
     def __init__(self, study: Study, progress: ProgressCallback | None) -> None:
         """Compile the study; draws of other laws are passed to it as values."""
         self.ranged = study.ranged_laws
-        self.middle = study.with_laws({name: law.middle for name, law in self.ranged.items()})  # in their middles
-        self.engine = Engine(self.middle, min(BLOCK, study.config.draws))
+        middle_laws = {name: law.middle for name, law in self.ranged.items()}  # in the middles of their ranges
+        self.middle_study = study.with_laws(middle_laws)
+        self.engine = Engine(self.middle_study, min(BLOCK, study.config.draws))
         self.progress = progress
         self.simulation_count = 0
         self.values: dict[str, np.ndarray] = {}
@@ -267,19 +268,19 @@ class DrawSimulator:
     def mixture(self, count: int) -> RangedDraws:
         """The first ``count`` draws of the mixture; draws simulated before are not simulated again."""
         new_indices = np.arange(len(self.failed), count)
-        values = draw(self.middle, new_indices)
-        points = unit_points(self.middle, new_indices)  # shape (n, laws)
-        for column, name in enumerate(self.middle.laws):
+        values = draw(self.middle_study, new_indices)
+        points = unit_points(self.middle_study, new_indices)  # shape (n, laws)
+        for column, name in enumerate(self.middle_study.laws):
             if name in self.ranged:
                 values[name] = mixture_values(self.ranged[name], points[:, column])
-        self.failed = np.concatenate([self.failed, self.failures(values, new_indices)])
+        self.failed = np.concatenate([self.failed, self.fails(values, new_indices)])
         for name in self.ranged:
             known_values = self.values.get(name, np.empty(0))
             self.values[name] = np.concatenate([known_values, values[name]])
         return RangedDraws(self.ranged, dict(self.values), self.failed, CONFIDENCE)
 
-    def failures(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> np.ndarray:
-        """Simulate draws and tell which of them fail, shape (n,).
+    def fails(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> np.ndarray:
+        """Simulate draws, and return whether each fails, shape (n,).
 
         Args:
             values: Value of each uncertain number, shape (n,) each.
@@ -300,7 +301,7 @@ class DrawSimulator:
             count: Number of new draws.
         """
         indices = np.arange(start, start + count)
-        failed = self.failures(draw(self.middle.with_laws(estimate.laws), indices), indices)
+        failed = self.fails(draw(self.middle_study.with_laws(estimate.laws), indices), indices)
         failures = int(np.count_nonzero(failed))
         low, high = clopper_pearson(failures, count, CONFIDENCE).tolist()
         return ExtremeLaws(

@@ -38,7 +38,9 @@ Column: TypeAlias = tuple[str, np.ndarray, dict[str, str]]
 """Dimension, values and attributes of a variable."""
 
 CLEAR = 2.0  # standard deviations of a mean score that could also be 0
-LARGER, SMALLER, NOT_CLEAR = 1, -1, 0
+LARGER = 1
+SMALLER = -1
+NOT_CLEAR = 0
 DIRECTIONS = {LARGER: "larger", SMALLER: "smaller", NOT_CLEAR: "not clear"}
 """Which values of a number fail more often, in words, by the sign of their mean score."""
 

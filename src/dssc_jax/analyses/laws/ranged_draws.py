@@ -129,21 +129,23 @@ class RangedDraws:
     def estimate(self, laws: dict[str, Law]) -> WeightedLaws:
         """Estimate the failure probability under laws of the box from the weighted draws."""
         weights = np.exp(self.log_weights(laws))
-        failing = weights[self.failed]
+        failing_weights = weights[self.failed]
         draws = len(weights)
-        interval = weighted_interval(failing, draws, float(weights.max()), self.confidence)
-        probability = min(1.0, float(failing.sum()) / draws)
+        interval = weighted_interval(failing_weights, draws, float(weights.max()), self.confidence)
+        probability = min(1.0, float(failing_weights.sum()) / draws)
         return WeightedLaws(laws, probability, interval, effective_size(weights))
 
     @cached_property
     def corners(self) -> np.ndarray:
         """The corners of the box, or random ones if there are very many, and its middle; shape (points, ranges)."""
+        ranges = len(self.bounds)
         middle = np.mean(self.bounds, axis=1)
-        if 2 ** len(self.bounds) <= MOST_CORNERS:
+        if 2**ranges <= MOST_CORNERS:
             return np.array([*product(*self.bounds), middle])
         low, high = np.array(self.bounds).T
-        is_high = np.random.default_rng(0).integers(0, 2, (MOST_CORNERS, len(self.bounds))) == 1
-        return np.array([*np.where(is_high, high, low), middle])
+        is_high = np.random.default_rng(0).integers(0, 2, (MOST_CORNERS, ranges)) == 1
+        corners = np.where(is_high, high, low)
+        return np.array([*corners, middle])
 
     @cached_property
     def least_effective(self) -> float:

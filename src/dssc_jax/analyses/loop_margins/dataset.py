@@ -34,7 +34,7 @@ class BrokenLoop(NamedTuple):
     poles: np.ndarray
 
 
-def multiloop_columns(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Dataset:
+def multiloop_dataset(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Dataset:
     """The disk margins of all loops at once as variables of a dataset, along ``operating_point`` and ``draw``.
 
     The dataset is empty if an operating point has no such margins, or two have margins of different channels.
@@ -77,7 +77,9 @@ def margins_dataset(
         frequencies: Frequencies of the responses [rad/s], shape (frequencies,).
     """
     points = list(answers)
-    loops = list(dict.fromkeys(loop for by_loop in answers.values() for loop in by_loop))  # each once, in order
+    loops: list[str] = []  # each once, in order
+    for by_loop in answers.values():
+        loops += [loop for loop in by_loop if loop not in loops]
     draws = study.config.draws
     blank = blank_loop(draws, frequencies.size)
     broken_loops = []  # point by point

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.loop_margins.dataset import BrokenLoop, margins_dataset, multiloop_columns
+from dssc_jax.analyses.loop_margins.dataset import BrokenLoop, margins_dataset, multiloop_dataset
 from dssc_jax.analyses.loop_margins.multiloop import multiloop_margins
 from dssc_jax.analyses.loop_margins.operating_points import operating_points
 from dssc_jax.analyses.loop_margins.result import LoopMargins, Status
@@ -69,24 +69,20 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
             "limit; `times` takes others, along the flight",
         )
     poles = []
-    for by_loop in matrices.values():
-        poles += [closed_loops.poles.ravel() for closed_loops in by_loop.values()]
+    for by_break_point in matrices.values():
+        poles += [closed_loops.poles.ravel() for closed_loops in by_break_point.values()]
     common_angles = common_grid(np.concatenate(poles))
     sample_time = study.config.loop.sample_time
-    broken_loops: dict[str, dict[str, BrokenLoop]] = {}
-    for count, (name, by_loop) in enumerate(matrices.items(), start=1):
-        broken_loops[name] = {}
-        for loop, closed_loops in by_loop.items():
-            broken = broken_loop(closed_loops, common_angles, sample_time)
-            if broken is not None:
-                broken_loops[name][loop] = broken
+    broken_loops = {}
+    for count, (name, by_break_point) in enumerate(matrices.items(), start=1):
+        broken_loops[name] = margins_by_break_point(by_break_point, common_angles, sample_time)
         if progress:
             progress(count * study.config.draws, len(matrices) * study.config.draws)
     dataset = margins_dataset(study, broken_loops, common_angles / sample_time)
     multiloop = {}
     for name, operating in points.items():
         multiloop[name] = multiloop_margins(study.loop.channels, operating, sample_time)
-    dataset = dataset.merge(multiloop_columns(multiloop))
+    dataset = dataset.merge(multiloop_dataset(multiloop))
     return LoopMargins(study, dataset, tuple(map(float, times)), notes, time.perf_counter() - began)
 
 
@@ -97,14 +93,14 @@ class BrokenMatrices(NamedTuple):
     loop, and only the states are kept through which w acts on v.
 
     Args:
-        closed: Whether each draw is one of the n, shape (draws,).
+        has_closed_loop: Whether each draw is one of the n, shape (draws,).
         a: A, shape (n, states, states).
         b: b, shape (n, states).
         c: c, shape (n, states).
         poles: Eigenvalues of A, shape (n, states).
     """
 
-    closed: np.ndarray
+    has_closed_loop: np.ndarray
     a: np.ndarray
     b: np.ndarray
     c: np.ndarray
@@ -116,14 +112,32 @@ def matrices_by_break_point(study: Study, operating: Operating) -> dict[str, Bro
     matrices = operating.matrices
     by_name = {}
     for point, name in enumerate(place_names(study.loop.channels)):
-        closed = operating.closed(point)
-        state_indices = matrices.loop_states(point, closed)
+        has_closed_loop = operating.closed(point)
+        state_indices = matrices.loop_states(point, has_closed_loop)
         if state_indices.size:
-            a = matrices.a[np.ix_(closed, state_indices, state_indices)]
-            b = matrices.b[closed][:, state_indices, point]
-            c = matrices.c[closed][:, point, state_indices]
-            by_name[name] = BrokenMatrices(closed, a, b, c, np.linalg.eigvals(a))
+            a = matrices.a[np.ix_(has_closed_loop, state_indices, state_indices)]
+            b = matrices.b[has_closed_loop][:, state_indices, point]
+            c = matrices.c[has_closed_loop][:, point, state_indices]
+            by_name[name] = BrokenMatrices(has_closed_loop, a, b, c, np.linalg.eigvals(a))
     return by_name
+
+
+def margins_by_break_point(
+    closed_loops: dict[str, BrokenMatrices], common_angles: np.ndarray, sample_time: float
+) -> dict[str, BrokenLoop]:
+    """Margins and frequency responses at an operating point by break point, without those that have no effect.
+
+    Args:
+        closed_loops: The closed loops by break point.
+        common_angles: omega T_s of the frequency response, shape (frequencies,).
+        sample_time: T_s [s].
+    """
+    broken_loops = {}
+    for name, matrices in closed_loops.items():
+        broken = broken_loop(matrices, common_angles, sample_time)
+        if broken is not None:
+            broken_loops[name] = broken
+    return broken_loops
 
 
 def broken_loop(matrices: BrokenMatrices, common_angles: np.ndarray, sample_time: float) -> BrokenLoop | None:

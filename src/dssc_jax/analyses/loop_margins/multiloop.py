@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.loop_margins.structured import balancing_scales, lower_bounds, scaled_norms, upper_bounds
+from dssc_jax.analyses.loop_margins.structured import balancing_log_scales, lower_bounds, scaled_norms, upper_bounds
 from dssc_jax.closed_loop.break_points import BreakPoint, place_name, place_names
 from dssc_jax.core.influences import closure
 from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
@@ -135,10 +135,10 @@ def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time
     joint = joint_places(channels, matrices, has_operating_point)
     if joint is None:
         return None
-    candidates = np.flatnonzero(has_operating_point)
-    poles = np.linalg.eigvals(matrices.a[np.ix_(candidates, joint.states, joint.states)])
+    reached_draws = np.flatnonzero(has_operating_point)
+    poles = np.linalg.eigvals(matrices.a[np.ix_(reached_draws, joint.states, joint.states)])
     is_stable = np.max(np.abs(poles), axis=1) < 1.0
-    stable = candidates[is_stable]
+    stable = reached_draws[is_stable]
     draws = len(has_operating_point)
     margins = MultiloopMargins(
         channels=tuple(channels[i] for i in joint.channels),
@@ -186,7 +186,7 @@ def balanced_bounds(matrices: np.ndarray) -> np.ndarray:
     Args:
         matrices: M, shape (n, channels, channels).
     """
-    norms, _ = scaled_norms(matrices, balancing_scales(matrices))
+    norms, _ = scaled_norms(matrices, balancing_log_scales(matrices))
     return norms
 
 

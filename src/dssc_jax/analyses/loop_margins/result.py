@@ -183,7 +183,7 @@ class LoopMargins(Analysis):
         guaranteed = data["multiloop_disk"].values
         attained = data["multiloop_found"].values
         margins = np.where(np.isnan(guaranteed), -np.inf, guaranteed)  # an unstable loop has the worst margin
-        attained_margins = np.where(np.isnan(attained), np.inf, attained)  # and no perturbation
+        attained_margins = np.where(np.isnan(attained), np.inf, attained)  # an unstable loop has no perturbation
         worst = data.isel(draw=int(np.argmin(attained_margins)))
         channels = list(map(str, data["channel"].values))
         return MultiloopStatistics(

@@ -24,7 +24,7 @@ TINY = 1e-300  # in place of 0 in a denominator
 ONE_WAY = 1e-8  # least ratio of row and column in a step, so that a coupling in one direction is scaled away
 
 
-def balancing_scales(matrices: np.ndarray) -> np.ndarray:
+def balancing_log_scales(matrices: np.ndarray) -> np.ndarray:
     """log D of the diagonal D that minimises the Frobenius norm of D M D^-1, shape (n, channels) (Osborne).
 
     Each step scales one channel so that its row and its column become equally large. For two channels this D also
@@ -33,19 +33,19 @@ def balancing_scales(matrices: np.ndarray) -> np.ndarray:
     Args:
         matrices: M, shape (n, channels, channels).
     """
+    count, channels, _ = matrices.shape
     squares = np.abs(matrices) ** 2
-    squares[:, range(squares.shape[1]), range(squares.shape[1])] = 0.0
-    logs = np.zeros(squares.shape[:2])
+    squares[:, range(channels), range(channels)] = 0.0
+    logs = np.zeros((count, channels))
     for _ in range(BALANCING_STEPS):
-        for channel in range(squares.shape[1]):
+        for channel in range(channels):
             scaled_squares = squares * np.exp(2.0 * (logs[:, :, None] - logs[:, None, :]))
             row = np.sum(scaled_squares[:, channel, :], axis=1)
             column = np.sum(scaled_squares[:, :, channel], axis=1)
             is_coupled = (row > TINY) | (column > TINY)
-            ratio = np.where(is_coupled, column + ONE_WAY * row, 1.0) / np.where(
-                is_coupled, row + ONE_WAY * column, 1.0
-            )
-            logs[:, channel] += 0.25 * np.log(ratio)
+            column_size = np.where(is_coupled, column + ONE_WAY * row, 1.0)
+            row_size = np.where(is_coupled, row + ONE_WAY * column, 1.0)
+            logs[:, channel] += 0.25 * np.log(column_size / row_size)  # sizes are squares, hence a quarter
     return logs
 
 
@@ -68,11 +68,11 @@ def upper_bounds(matrices: np.ndarray) -> np.ndarray:
     Args:
         matrices: M, shape (n, channels, channels).
     """
-    norms, _ = scaled_norms(matrices, best_scales(matrices))
+    norms, _ = scaled_norms(matrices, best_log_scales(matrices))
     return norms
 
 
-def best_scales(matrices: np.ndarray) -> np.ndarray:
+def best_log_scales(matrices: np.ndarray) -> np.ndarray:
     """log D of the diagonal D that minimises the largest singular value of D M D^-1, shape (n, channels).
 
     The ellipsoid method finds it: each step keeps the half of an ellipsoid in which the subgradient allows the minimum,
@@ -83,23 +83,24 @@ def best_scales(matrices: np.ndarray) -> np.ndarray:
     Args:
         matrices: M, shape (n, channels, channels).
     """
-    best_logs = balancing_scales(matrices)
+    best_logs = balancing_log_scales(matrices)
     free = matrices.shape[1] - 1
     if free < 2:  # two channels: the balanced D is the best
         return best_logs
     least_norms, slopes = scaled_norms(matrices, best_logs)
     count = len(matrices)
-    shape = np.broadcast_to(FIRST_RADIUS**2 * np.eye(free), (count, free, free)).copy()
+    # the ellipsoid has the points x with (x - centre)' E^-1 (x - centre) <= 1; E: ellipsoid
+    ellipsoid = np.broadcast_to(FIRST_RADIUS**2 * np.eye(free), (count, free, free)).copy()
     centre = best_logs[:, 1:] - best_logs[:, :1]
     for _ in range(ELLIPSOID_STEPS):
         slope = slopes[:, 1:]
-        reach = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", slope, shape, slope), TINY))
+        reach = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", slope, ellipsoid, slope), TINY))  # rise up to the edge
         is_moving = reach > STILL
-        direction = np.einsum("nij,nj->ni", shape, slope) / reach[:, None]  # from the centre to the edge, uphill
-        centre = centre - np.where(is_moving[:, None], direction, 0.0) / (free + 1.0)
-        outer = direction[:, :, None] * direction[:, None, :]
-        shrunk = free**2 / (free**2 - 1.0) * (shape - 2.0 / (free + 1.0) * outer)  # about the lower half
-        shape = np.where(is_moving[:, None, None], shrunk, shape)
+        to_edge = np.einsum("nij,nj->ni", ellipsoid, slope) / reach[:, None]  # from the centre to the edge, uphill
+        centre = centre - np.where(is_moving[:, None], to_edge, 0.0) / (free + 1.0)
+        square = to_edge[:, :, None] * to_edge[:, None, :]
+        smaller = free**2 / (free**2 - 1.0) * (ellipsoid - 2.0 / (free + 1.0) * square)  # about the lower half
+        ellipsoid = np.where(is_moving[:, None, None], smaller, ellipsoid)
         logs = np.concatenate([np.zeros((count, 1)), centre], axis=1)
         norms, slopes = scaled_norms(matrices, logs)
         best_logs = np.where((norms < least_norms)[:, None], logs, best_logs)
@@ -124,14 +125,14 @@ def lower_bounds(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows = np.arange(count)
     for start in range(STARTS):
         vectors = np.ones((count, channels), complex)
-        if start > 0:
+        if start > 0:  # the further starts are random
             vectors = np.exp(2j * np.pi * random.random((count, channels)))
         units = power_iteration(matrices, vectors)
         eigenvalues = np.linalg.eigvals(matrices * units[:, None, :])
         largest = eigenvalues[rows, np.argmax(np.abs(eigenvalues), axis=1)]
         is_better = np.abs(largest) > bounds
         bounds = np.where(is_better, np.abs(largest), bounds)
-        diagonals[is_better] = units[is_better] / largest[is_better, None]
+        diagonals[is_better] = units[is_better] / largest[is_better, None]  # det(I - M U/lambda) = 0
     return bounds, diagonals
 
 

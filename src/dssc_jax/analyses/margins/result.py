@@ -1,6 +1,5 @@
 """Statistics of the critical values of a study's draws."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Self
 
@@ -9,7 +8,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.margins.search import CLOCK, Censoring, Critical, Walk
+from dssc_jax.analyses.margins.search import CLOCK, Censoring, CriticalDraws, Walk
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.design.certification import Reach, reach
@@ -105,8 +104,7 @@ class Margins(Analysis):
         study: Study,
         parameter: str,
         walk: Walk,
-        critical: Critical,
-        drawn_numbers: Mapping[str, np.ndarray],
+        draws: CriticalDraws,
         criterion: tuple[str, ...],
         seconds: float,
         compile_seconds: float = 0.0,
@@ -118,38 +116,15 @@ class Margins(Analysis):
             study: The study.
             parameter: The number that is varied.
             walk: The walk that was searched.
-            critical: Critical value of each draw.
-            drawn_numbers: Value of each uncertain number in each draw, shape (draws,) each.
+            draws: Critical value and uncertain numbers of each draw.
             criterion: The conditions for a draw to pass, in words.
             seconds: Computing time [s].
             compile_seconds: Compile time within it [s].
             unit: Unit of the slack.
         """
-        quantity = study.quantities.get(parameter) or UNNAMED[parameter]
-        attributes = unit_and_meaning(quantity.unit, quantity.meaning)
-        codes = {"flag_values": [code.value for code in Censoring], "flag_meanings": "before inside beyond"}
-        side_attributes = {"long_name": "side of the walk on which the value lies", **codes}
-        variables: dict[str, tuple[object, np.ndarray, object]] = {
-            "critical": ("draw", critical.value, attributes | {"long_name": f"critical {quantity.meaning}"}),
-            "censoring": ("draw", critical.censoring, side_attributes),
-            "non_monotone": ("draw", critical.non_monotone, {"long_name": "passes again beyond a failure"}),
-        }
-        if critical.violated is not None:
-            meaning = "index of the requirement violated first"
-            variables["violated_first"] = ("draw", critical.violated, unit_and_meaning("1", meaning))
-        for name, values in drawn_numbers.items():
-            drawn = study.quantities[name]
-            variables[name] = ("draw", values, unit_and_meaning(drawn.unit, drawn.meaning))
-        variables["slack"] = (("value", "draw"), critical.slack, unit_and_meaning(unit, "signed slack"))
-        index = ("draw", np.arange(study.config.draws), {"long_name": "draw index"})
-        data = xr.Dataset(
-            variables,
-            coords={"draw": index, "value": (("value",), walk.grid, attributes)},
-            attrs={"title": study.name, "parameter": parameter},
-        )
         return cls(
             study=study,
-            dataset=data,
+            dataset=margins_dataset(study, parameter, walk, draws, unit),
             parameter=parameter,
             walk=walk,
             criterion=criterion,
@@ -157,6 +132,11 @@ class Margins(Analysis):
             seconds=seconds,
             compile_seconds=compile_seconds,
         )
+
+    @property
+    def direction(self) -> float:
+        """1 for a walk that ascends, -1 for one that descends."""
+        return 1.0 if self.walk.end > self.walk.start else -1.0
 
     @property
     def reached(self) -> np.ndarray:
@@ -167,9 +147,8 @@ class Margins(Analysis):
         """
         critical = self.dataset["critical"].values
         censoring = self.dataset["censoring"].values
-        direction = 1.0 if self.walk.end > self.walk.start else -1.0
         outside = np.where(censoring == Censoring.BEYOND, np.inf, -np.inf)
-        return np.where(censoring == Censoring.INSIDE, direction * critical, outside)
+        return np.where(censoring == Censoring.INSIDE, self.direction * critical, outside)
 
     def at_rank(self, rank: int) -> float | None:
         """The critical value of the draw at a rank: 1 is the draw that fails nearest to the start of the walk.
@@ -181,7 +160,7 @@ class Margins(Analysis):
             return self.walk.end
         if np.isneginf(reach_of_draw):
             return None
-        return float(reach_of_draw if self.walk.end > self.walk.start else -reach_of_draw)
+        return float(self.direction * reach_of_draw)
 
     @property
     def median(self) -> float | None:
@@ -294,3 +273,38 @@ class Margins(Analysis):
             seconds=self.seconds,
             compile_seconds=self.compile_seconds,
         )
+
+
+def margins_dataset(study: Study, parameter: str, walk: Walk, draws: CriticalDraws, unit: str) -> xr.Dataset:
+    """The dataset of :class:`Margins`: critical values and drawn numbers along ``draw``, slacks also along ``value``.
+
+    Args:
+        study: The study.
+        parameter: The number that is varied.
+        walk: The walk that was searched.
+        draws: Critical value and uncertain numbers of each draw.
+        unit: Unit of the slack.
+    """
+    critical = draws.critical
+    quantity = study.quantities.get(parameter) or UNNAMED[parameter]
+    attributes = unit_and_meaning(quantity.unit, quantity.meaning)
+    codes = {"flag_values": [code.value for code in Censoring], "flag_meanings": "before inside beyond"}
+    side_attributes = {"long_name": "side of the walk on which the value lies", **codes}
+    variables: dict[str, tuple[object, np.ndarray, object]] = {
+        "critical": ("draw", critical.value, attributes | {"long_name": f"critical {quantity.meaning}"}),
+        "censoring": ("draw", critical.censoring, side_attributes),
+        "non_monotone": ("draw", critical.non_monotone, {"long_name": "passes again beyond a failure"}),
+    }
+    if critical.violated is not None:
+        meaning = "index of the requirement violated first"
+        variables["violated_first"] = ("draw", critical.violated, unit_and_meaning("1", meaning))
+    for name, values in draws.numbers.items():
+        drawn = study.quantities[name]
+        variables[name] = ("draw", values, unit_and_meaning(drawn.unit, drawn.meaning))
+    variables["slack"] = (("value", "draw"), critical.slack, unit_and_meaning(unit, "signed slack"))
+    index = ("draw", np.arange(study.config.draws), {"long_name": "draw index"})
+    return xr.Dataset(
+        variables,
+        coords={"draw": index, "value": (("value",), walk.grid, attributes)},
+        attrs={"title": study.name, "parameter": parameter},
+    )

@@ -84,6 +84,18 @@ class Critical(NamedTuple):
     violated: np.ndarray | None = None
 
 
+class CriticalDraws(NamedTuple):
+    """Critical values of n draws, with the draws' numbers.
+
+    Args:
+        critical: The critical values.
+        numbers: Value of each uncertain number in each draw, shape (n,) each.
+    """
+
+    critical: Critical
+    numbers: Arrays
+
+
 class FirstViolated:
     """Record of the requirement that each of n draws violates at its failure nearest to the start of a walk.
 
@@ -103,8 +115,8 @@ class FirstViolated:
         self.requirement = np.full(draws, -1)
         self.distance = np.full(draws, np.inf)
 
-    def slack(self, draws: np.ndarray, values: np.ndarray, study: Study, results: Arrays) -> np.ndarray:
-        """Compute the signed slack of some simulated draws, shape (m,), and record what they violate.
+    def record(self, draws: np.ndarray, values: np.ndarray, study: Study, results: Arrays) -> np.ndarray:
+        """Record what some simulated draws violate, and return their signed slacks, shape (m,).
 
         Args:
             draws: Indices of the draws, shape (m,).

@@ -4,14 +4,21 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
 
 from dssc_jax.analyses.conditions import criterion_of
 from dssc_jax.analyses.defaults import BISECTIONS, MOST_BISECTIONS, MOST_POINTS, POINTS
 from dssc_jax.analyses.margins.result import Margins
-from dssc_jax.analyses.margins.search import CLOCK, Critical, FirstViolated, Walk, join_critical, search_critical
+from dssc_jax.analyses.margins.search import (
+    CLOCK,
+    Critical,
+    CriticalDraws,
+    FirstViolated,
+    Walk,
+    join_critical,
+    search_critical,
+)
 from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
@@ -25,8 +32,6 @@ from dssc_jax.study import Study, takes_file
 from dssc_jax.study.laws import SPREAD
 
 SPREAD_HALVINGS = 10  # in the search for the largest admissible spread
-CriticalDraws: TypeAlias = tuple[Critical, Arrays]
-"""Critical values of n draws, and the drawn numbers by name, shape (n,) each."""
 
 
 @takes_file
@@ -81,15 +86,14 @@ def margin(
     walk = admissible_walk(over, bounds, log, points, bisections, parted=duration_of_flight)
     report = progress or (lambda done, total: None)
     if over == CLOCK:
-        critical, drawn_numbers = critical_sample_times(study, walk, clock, report)
+        draws = critical_sample_times(study, walk, clock, report)
     else:
-        critical, drawn_numbers = critical_numbers(study, over, walk, bisections, clock, report)
+        draws = critical_numbers(study, over, walk, bisections, clock, report)
     margins = Margins.of(
         study,
         over,
         walk,
-        critical,
-        drawn_numbers,
+        draws,
         criterion=criterion_of(study),
         seconds=time.perf_counter() - began,
         compile_seconds=clock.compile_seconds,
@@ -243,10 +247,10 @@ def critical_numbers(
     block_numbers: list[Arrays] = []
     for begin in range(0, draws, evaluator.lanes):
         block = slice(begin, min(begin + evaluator.lanes, draws))
-        critical, drawn_numbers = critical_block(evaluator, block, numbers_at, walk, bisections, report)
-        blocks.append(critical)
-        block_numbers.append(drawn_numbers)
-    return join_critical(blocks), join_batches(block_numbers)
+        draws_of_block = critical_block(evaluator, block, numbers_at, walk, bisections, report)
+        blocks.append(draws_of_block.critical)
+        block_numbers.append(draws_of_block.numbers)
+    return CriticalDraws(join_critical(blocks), join_batches(block_numbers))
 
 
 def critical_block(
@@ -275,12 +279,12 @@ def critical_block(
         """Simulate some lanes of the block, each at a value of the walk, and record what they violate."""
         drawn_numbers = {name: column[lanes] for name, column in laws.items()}
         results = evaluator(indices[lanes], numbers_at(drawn_numbers, values))
-        slack = violated.slack(lanes, values, evaluator.swept, results)
+        slack = violated.record(lanes, values, evaluator.swept, results)
         report()
         return slack
 
     critical = search_critical(slack_at, len(indices), walk, bisections)
-    return critical._replace(violated=violated.requirement), laws
+    return CriticalDraws(critical._replace(violated=violated.requirement), laws)
 
 
 def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: ProgressCallback) -> CriticalDraws:
@@ -314,7 +318,7 @@ def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: Prog
         numbers.update(join_batches([laws for _, _, laws in blocks]))
         progress(clock.lanes, len(studies) * len(draws))
         results = join_batches([results for _, results, _ in blocks])
-        return violated.slack(draws, values, study_at_value, results)
+        return violated.record(draws, values, study_at_value, results)
 
     critical = search_critical(slack_at, study.config.draws, walk, bisections=0)
-    return critical._replace(violated=violated.requirement), numbers
+    return CriticalDraws(critical._replace(violated=violated.requirement), numbers)

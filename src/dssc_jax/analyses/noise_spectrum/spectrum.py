@@ -33,18 +33,7 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
     Raises:
         ConfigError: There is no such channel, the measurement is exact, or fewer than 4,096 samples remain.
     """
-    prefix = f"{channel}_" if channel else ""
-    if f"{prefix}sigma_measured" not in run:
-        channel_names = [str(name).removesuffix("_sigma") for name in run.data_vars if str(name).endswith("_sigma")]
-        raise ConfigError("channel", f"'{channel}' is no channel of this trajectory; {nearest(channel, channel_names)}")
-    late_samples = run.where(run["t"] >= after, drop=True)
-    noise = (late_samples[f"{prefix}sigma_measured"] - late_samples[f"{prefix}sigma"]).values
-    command = late_samples[f"{prefix}u"].values
-    if noise.size < FEWEST_SEGMENTS * SEGMENT or not np.all(np.isfinite(command)):
-        rule = f"needs {FEWEST_SEGMENTS * SEGMENT:,} finite samples after {after:g} s"
-        raise ConfigError("run", f"{rule}, got {np.count_nonzero(np.isfinite(command)):,}")
-    if not np.any(noise):
-        raise ConfigError("run", "the measurement is exact; give the study a noisy sensor")
+    noise, command = noise_and_command(run, channel, after)
     rate = 1.0 / float(run["t"][1] - run["t"][0])
     frequency, noise_density = signal.welch(noise, rate, nperseg=SEGMENT)
     _, command_density = signal.welch(command, rate, nperseg=SEGMENT)
@@ -68,3 +57,29 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
         coords={"frequency": (("frequency",), frequency, unit_and_meaning("Hz", "frequency"))},
         attrs={"amplification": float(np.sqrt(np.sum(gain**2 * noise_density) / np.sum(noise_density)))},
     )
+
+
+def noise_and_command(run: xr.Dataset, channel: str, after: float) -> tuple[np.ndarray, np.ndarray]:
+    """The error of the measured sigma and the robust command over time, shape (samples,) each.
+
+    Args:
+        run: A trajectory with every sample.
+        channel: The channel of a vehicle; empty for a plant with one channel.
+        after: Samples before this time [s] are left out.
+
+    Raises:
+        ConfigError: There is no such channel, the measurement is exact, or there are too few finite samples.
+    """
+    prefix = f"{channel}_" if channel else ""
+    if f"{prefix}sigma_measured" not in run:
+        channel_names = [str(name).removesuffix("_sigma") for name in run.data_vars if str(name).endswith("_sigma")]
+        raise ConfigError("channel", f"'{channel}' is no channel of this trajectory; {nearest(channel, channel_names)}")
+    late_samples = run.where(run["t"] >= after, drop=True)
+    noise = (late_samples[f"{prefix}sigma_measured"] - late_samples[f"{prefix}sigma"]).values
+    command = late_samples[f"{prefix}u"].values
+    if noise.size < FEWEST_SEGMENTS * SEGMENT or not np.all(np.isfinite(command)):
+        rule = f"needs {FEWEST_SEGMENTS * SEGMENT:,} finite samples after {after:g} s"
+        raise ConfigError("run", f"{rule}, got {np.count_nonzero(np.isfinite(command)):,}")
+    if not np.any(noise):
+        raise ConfigError("run", "the measurement is exact; give the study a noisy sensor")
+    return noise, command

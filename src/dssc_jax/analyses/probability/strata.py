@@ -87,7 +87,7 @@ def strata_edges(predictions: np.ndarray) -> np.ndarray:
 
 
 def stratified_probability(
-    slack: SlackFunction, dimension: int, seeds: tuple[int, ...], width: float, most: int
+    slack: SlackFunction, dimension: int, seeds: tuple[int, ...], width: float, most_draws: int
 ) -> StratifiedEstimate:
     """Estimate a failure probability with an interval of about a given width, by strata of a predicted slack.
 
@@ -98,19 +98,19 @@ def stratified_probability(
         dimension: Number d of coordinates of a point.
         seeds: Seeds of the random numbers.
         width: Upper minus lower limit for which the number of draws is chosen.
-        most: Largest number of draws in the strata, which may leave the interval wider.
+        most_draws: Largest number of draws in the strata, which may leave the interval wider.
     """
     counter = SlackCounter(slack)
     rng = generator(*seeds, stream("strata"))
     points = inside_cube(rng.random((PILOT, dimension)))
     surrogate = Surrogate(points, counter(points, counter.fresh(PILOT)), np.ones(PILOT))
     sample = inside_cube(rng.random((SAMPLE, dimension)))
-    edges, draws = plan_strata(surrogate, surrogate(sample), width, most)
+    edges, draws = plan_strata(surrogate, surrogate(sample), width, most_draws)
     extra_draws = min(MOST_EXTRA_DRAWS, int(draws.sum()) // DRAWS_PER_EXTRA_DRAW)
     if extra_draws > PILOT // 4:  # otherwise they would add at most a quarter to the pilot
         surrogate = improve_surrogate(surrogate, sample, extra_draws, counter)
         sample = inside_cube(rng.random((SAMPLE, dimension)))
-        edges, draws = plan_strata(surrogate, surrogate(sample), width, most)
+        edges, draws = plan_strata(surrogate, surrogate(sample), width, most_draws)
     size = NARROW_NET_POINTS if width < NARROW_WIDTH else NET_POINTS
     weights = np.empty((NETS, len(draws)))
     for net in range(NETS):
@@ -157,7 +157,7 @@ def improve_surrogate(surrogate: Surrogate, sample: np.ndarray, extra_draws: int
 
 
 def plan_strata(
-    surrogate: Surrogate, predictions: np.ndarray, width: float, most: int
+    surrogate: Surrogate, predictions: np.ndarray, width: float, most_draws: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Choose the strata of a prediction, and the number of draws in each that gives the interval its width.
 
@@ -165,7 +165,7 @@ def plan_strata(
         surrogate: The prediction.
         predictions: Predicted slacks of a plain sample, shape (n,).
         width: Width of the interval to reach.
-        most: Largest number of draws.
+        most_draws: Largest number of draws.
 
     Returns:
         The edges of the strata, shape (strata - 1,), and the number of draws in each, shape (strata,).
@@ -175,7 +175,7 @@ def plan_strata(
     weights = stratum_counts(edges, predictions) / len(predictions)
     expected_failures = np.bincount(stratum, surrogate.failure_probability(predictions), len(edges) + 1)
     failing_shares = expected_failures / (weights * len(predictions))
-    return edges, allocate_draws(weights, failing_shares, RESERVE * width, most)
+    return edges, allocate_draws(weights, failing_shares, RESERVE * width, most_draws)
 
 
 def points_in_strata(

@@ -70,7 +70,8 @@ def find_design_points(slacks_and_slopes: SlopeFunction, starts: np.ndarray) -> 
         starts: The points at which the searches start, shape (n, d).
 
     Returns:
-        The design points, without points far beyond the nearest, and without SORM's factor.
+        The design points, without points far beyond the nearest, and without SORM's factor, which
+        :func:`with_curvature` adds.
     """
     points = starts
     slacks, slopes = slacks_and_slopes(points)
@@ -94,11 +95,11 @@ def find_design_points(slacks_and_slopes: SlopeFunction, starts: np.ndarray) -> 
     is_on_border = np.abs(slacks) < ON_BORDER * np.linalg.norm(slopes, axis=1)
     distances = np.linalg.norm(points, axis=1)
     nearest_first = [index for index in np.argsort(distances) if is_on_border[index]]
-    return [
-        DesignPoint(points[index], float(distances[index]), second_order=np.nan)  # with_curvature adds it
-        for index in distinct_points(points, nearest_first, SAME, most=len(points))
-        if distances[index] <= distances[nearest_first[0]] + FARTHER
-    ]
+    design_points = []
+    for index in distinct_points(points, nearest_first, SAME, limit=len(points)):
+        if distances[index] <= distances[nearest_first[0]] + FARTHER:
+            design_points.append(DesignPoint(points[index], float(distances[index]), second_order=np.nan))
+    return design_points
 
 
 def tangent_steps(points: np.ndarray, slacks: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -133,18 +134,18 @@ def merits(points: np.ndarray, slacks: np.ndarray, penalties: np.ndarray) -> np.
     return 0.5 * np.sum(points**2, axis=1) + penalties * np.abs(slacks)
 
 
-def distinct_points(points: np.ndarray, order: Iterable[int], distance: float, most: int) -> list[int]:
+def distinct_points(points: np.ndarray, order: Iterable[int], distance: float, limit: int) -> list[int]:
     """Indices of points that lie apart from each other: an earlier point in the order keeps its neighbours out.
 
     Args:
         points: Shape (n, d).
         order: Indices of points, in the order in which they are considered.
         distance: Distance that a point must exceed from all that were taken before.
-        most: Largest number of indices.
+        limit: Largest number of indices.
     """
     taken: list[int] = []
     for index in order:
-        if len(taken) == most:
+        if len(taken) == limit:
             break
         squared_distances = np.sum((points[taken] - points[index]) ** 2, axis=1)
         if np.all(squared_distances > distance**2):

@@ -37,9 +37,26 @@ class PlainDraws(NamedTuple):
         return float(low), float(high)
 
 
-def make_plain_draws(
+class PlainSimulations(NamedTuple):
+    """All simulated plain draws, failed or not.
+
+    Args:
+        points: The draws in standard normal space, shape (n, d).
+        slacks: Slack of each draw, shape (n,).
+    """
+
+    points: np.ndarray
+    slacks: np.ndarray
+
+    @property
+    def draws(self) -> PlainDraws:
+        """Their number, and the draws that failed."""
+        return PlainDraws(len(self.points), self.points[self.slacks < 0.0])
+
+
+def simulate_plain_draws(
     counter: SlackCounter, rng: np.random.Generator, draws: int, dimension: int
-) -> tuple[PlainDraws, np.ndarray, np.ndarray]:
+) -> PlainSimulations:
     """Simulate plain draws, each with in-loop noise of its own.
 
     Args:
@@ -47,14 +64,9 @@ def make_plain_draws(
         rng: Random generator.
         draws: Number of draws.
         dimension: Number d of coordinates.
-
-    Returns:
-        The plain draws; the points of all of them, shape (draws, d); their slacks, shape (draws,).
     """
     points = rng.standard_normal((draws, dimension))
-    slacks = counter(points, counter.fresh(draws))
-    failed = slacks < 0.0
-    return PlainDraws(draws, points[failed]), points, slacks
+    return PlainSimulations(points, counter(points, counter.fresh(draws)))
 
 
 @dataclass(frozen=True)

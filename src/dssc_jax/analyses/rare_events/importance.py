@@ -27,8 +27,8 @@ from dssc_jax.analyses.rare_events.design_points import (
     find_design_points,
     with_curvature,
 )
-from dssc_jax.analyses.rare_events.estimate import Estimate, make_plain_draws
-from dssc_jax.analyses.rare_events.mixture import WIDE, fit_mixture, mixture_sample, weighted_mixture
+from dssc_jax.analyses.rare_events.estimate import Estimate, simulate_plain_draws
+from dssc_jax.analyses.rare_events.mixture import WIDE, draw_from_mixture, fit_mixture, weighted_mixture
 from dssc_jax.analyses.rare_events.prediction import SMOOTHINGS, Prediction, fit_prediction
 from dssc_jax.analyses.slacks import SlackCounter, SlackFunction
 from dssc_jax.core.errors import ConfigError
@@ -234,7 +234,7 @@ class DesignSearch:
         has_failed = self.slacks < 0.0
         distances = np.linalg.norm(self.points, axis=1)  # from the median draw
         order = np.lexsort((np.where(has_failed, distances, self.slacks), ~has_failed))  # the last key sorts first
-        starts = self.points[distinct_points(self.points, order, START_DISTANCE, most=STARTS)]
+        starts = self.points[distinct_points(self.points, order, START_DISTANCE, limit=STARTS)]
         self.design_points = find_design_points(self.prediction.slacks_and_slopes, starts)
 
     def draw_candidates(self, count: int) -> Candidates:
@@ -247,9 +247,9 @@ class DesignSearch:
         unit_roots = [np.eye(means.shape[1])] * len(means)
         components = weighted_mixture(means, unit_roots, probabilities)
         for _ in range(FITS):
-            points, ratios = mixture_sample(components, FIT_CANDIDATES, self.rng)
+            points, ratios = draw_from_mixture(components, FIT_CANDIDATES, self.rng)
             components = fit_mixture(components, points, ratios * self.prediction.failure_probability(points))
-        points, ratios = mixture_sample(components, count, self.rng)
+        points, ratios = draw_from_mixture(components, count, self.rng)
         masses = ratios / len(points)
         return Candidates(points, masses, self.prediction.failure_probability(points))
 
@@ -302,30 +302,29 @@ def importance_sampling(
         The estimate, or the reason why there is none.
     """
     counter = SlackCounter(slack)
-    plain, points, slacks = make_plain_draws(counter, generator(*seeds, stream("plain")), settings.plain, dimension)
-    least = np.argsort(slacks, kind="stable")[:LEARNT]
-    search = DesignSearch(counter, generator(*seeds, stream("importance")), points[least], slacks[least])
+    plain = simulate_plain_draws(counter, generator(*seeds, stream("plain")), settings.plain, dimension)
+    least = np.argsort(plain.slacks, kind="stable")[:LEARNT]
+    search = DesignSearch(counter, generator(*seeds, stream("importance")), plain.points[least], plain.slacks[least])
     search.improve(settings.variation)
     if not search.design_points:
         return "no search ended at the border of failure"
-    sample = weigh_failures(search, settings)
-    size = effective_size(sample.weights)
+    failures = weigh_failures(search, settings)
+    size = effective_size(failures.weights)
     if size < LEAST_EFFECTIVE:
         return f"few failures carry the sum, as if {size:.0f} points failed"
+    slacks_and_slopes = search.prediction.slacks_and_slopes
     return WeightedEstimate(
-        simulations=counter.simulations - plain.draws,
-        points=sample.points,
-        noise=sample.noise,
-        weights=sample.weights,
-        plain=plain,
-        largest=sample.largest,
-        design_points=[
-            with_curvature(search.prediction.slacks_and_slopes, design_point) for design_point in search.design_points
-        ],
+        simulations=counter.simulations - settings.plain,
+        points=failures.points,
+        noise=failures.noise,
+        weights=failures.weights,
+        plain=plain.draws,
+        largest=failures.largest,
+        design_points=[with_curvature(slacks_and_slopes, design_point) for design_point in search.design_points],
     )
 
 
-class Sample(NamedTuple):
+class WeightedFailures(NamedTuple):
     """The failing points from which the failure probability is estimated.
 
     Args:
@@ -341,7 +340,7 @@ class Sample(NamedTuple):
     largest: float
 
 
-def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Sample:
+def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> WeightedFailures:
     """Simulate the points of the answer in batches, and return the failing points with their weights.
 
     The size of the first batch follows from the prediction. While the coefficient of variation is too large, a further
@@ -354,7 +353,7 @@ def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Sample
     """
     count = 0  # planned size of all batches so far
     batch_size = 0  # the first batch plans its own
-    sample = Sample(np.empty((0, search.points.shape[1])), np.empty(0, int), np.empty(0), largest=0.0)
+    failures = WeightedFailures(np.empty((0, search.points.shape[1])), np.empty(0, int), np.empty(0), largest=0.0)
     while True:
         candidates = search.draw_candidates(max(CANDIDATES, 2 * batch_size))
         batch_size = batch_size or min(candidates.sample_size(settings.variation), MOST_AT_FIRST, settings.most)
@@ -366,15 +365,15 @@ def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Sample
         share = batch_size / (count + batch_size)  # of this batch in the estimate
         weights = share * candidates.masses / chances
         likely_weight = largest_likely_weight(weights, chances * candidates.failure_probabilities)
-        sample = Sample(
-            points=np.concatenate([sample.points, candidates.points[failed]]),
-            noise=np.concatenate([sample.noise, noise[has_failed]]),
-            weights=np.concatenate([(1.0 - share) * sample.weights, weights[failed]]),
-            largest=max((1.0 - share) * sample.largest, likely_weight, float(weights[failed].max(initial=0.0))),
+        failures = WeightedFailures(
+            points=np.concatenate([failures.points, candidates.points[failed]]),
+            noise=np.concatenate([failures.noise, noise[has_failed]]),
+            weights=np.concatenate([(1.0 - share) * failures.weights, weights[failed]]),
+            largest=max((1.0 - share) * failures.largest, likely_weight, float(weights[failed].max(initial=0.0))),
         )
         count += batch_size
-        if variation_of_sum(sample.weights) <= settings.variation or 2 * count > settings.most:
-            return sample
+        if variation_of_sum(failures.weights) <= settings.variation or 2 * count > settings.most:
+            return failures
         surprise = np.abs(has_failed - candidates.failure_probabilities[indices])
         most_surprising = np.argsort(-surprise)[: 2 * ADDED]
         search.learn(candidates.points[indices[most_surprising]], slacks[most_surprising])

@@ -53,19 +53,22 @@ def weighted_mixture(means: np.ndarray, roots: list[np.ndarray], weights: np.nda
     return [*components, Component(np.zeros(dimension), WIDE * np.eye(dimension), WIDE_SHARE)]
 
 
-def mixture_sample(components: list[Component], count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def draw_from_mixture(
+    components: list[Component], count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """Draw about ``count`` points of a mixture: a fixed number from each law, at least 2.
 
     Returns:
         The points, shape (n, d), and at each the standard normal density divided by the density of the mixture,
         shape (n,). Averages over the points with these ratios as weights estimate averages over plain draws.
     """
-    numbers = [max(2, round(component.share * count)) for component in components]
+    counts = [max(2, round(component.share * count)) for component in components]
     parts = []
-    for component, number in zip(components, numbers, strict=True):
-        parts.append(component.mean + rng.standard_normal((number, len(component.mean))) @ component.root.T)
+    for component, part_count in zip(components, counts, strict=True):
+        scores = rng.standard_normal((part_count, len(component.mean)))
+        parts.append(component.mean + scores @ component.root.T)
     points = np.concatenate(parts)
-    shares = np.array(numbers) / len(points)
+    shares = np.array(counts) / len(points)
     log_densities = np.stack([component.log_density(points) for component in components])
     log_mixture_density = special.logsumexp(log_densities, axis=0, b=shares[:, None])
     log_normal_density = -0.5 * np.sum(points**2, axis=1)

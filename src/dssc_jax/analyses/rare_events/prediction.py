@@ -41,6 +41,17 @@ class Prediction:
     smoothing: float
     variance: float
 
+    @property
+    def surprise(self) -> float:
+        """-2 log likelihood of the errors with which each slack is predicted from all other points, without a constant.
+
+        In Kriging the error at the point i is normal, with the variance v/P_ii, where v is :attr:`variance` and P is
+        :attr:`inverse` (Dubrule).
+        """
+        count = len(self.centres)
+        precisions = np.diag(self.inverse)[:count]
+        return count * np.log(self.variance) - float(np.log(precisions).sum())
+
     def failure_probability(self, points: np.ndarray) -> np.ndarray:
         """Probability that a simulation at each point of shape (n, d) fails, shape (n,).
 
@@ -85,23 +96,33 @@ class Prediction:
 def fit_prediction(points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> Prediction:
     """Fit a prediction to simulated slacks, with the likeliest of several smoothings.
 
-    Each slack is predicted from all other points. The likeliest smoothing is least surprised by these errors, by
-    -2 log likelihood of a normal law.
+    The likeliest smoothing has the least :attr:`Prediction.surprise`.
 
     Args:
         points: Simulated points in standard normal space, shape (n, d).
         slacks: Slack at each, shape (n,).
         smoothings: Smoothings to choose from.
     """
-    count, dimension = points.shape
-    values = np.concatenate([scale_slacks(slacks, 0.5), np.zeros(dimension + 1)])
-    predictions = []
-    surprises = []
-    for smoothing in smoothings:
-        inverse = np.linalg.inv(spline_matrix(points, smoothing))
-        coefficients = inverse @ values
-        precisions = np.diag(inverse)[:count]  # a slack's error from all others is its coefficient over its precision
-        variance = max(float(np.mean(coefficients[:count] ** 2 / precisions)), LEAST_VARIANCE)
-        surprises.append(count * np.log(variance) - float(np.log(precisions).sum()))
-        predictions.append(Prediction(points, inverse, coefficients, smoothing, variance))
+    scaled_slacks = scale_slacks(slacks, 0.5)
+    predictions = [predict_with(smoothing, points, scaled_slacks) for smoothing in smoothings]
+    surprises = [prediction.surprise for prediction in predictions]
     return predictions[surprises.index(min(surprises))]
+
+
+def predict_with(smoothing: float, points: np.ndarray, scaled_slacks: np.ndarray) -> Prediction:
+    """Fit a prediction with one smoothing; its variance is the likeliest one.
+
+    The error of a slack that is predicted from all other points is c_i/P_ii, with its coefficient c_i and the inverse P
+    of the spline's matrix. So the likeliest variance is the mean of c_i^2/P_ii.
+
+    Args:
+        smoothing: The smoothing.
+        points: Simulated points in standard normal space, shape (n, d).
+        scaled_slacks: Scaled slack at each, shape (n,).
+    """
+    count, dimension = points.shape
+    inverse = np.linalg.inv(spline_matrix(points, smoothing))
+    coefficients = inverse @ np.concatenate([scaled_slacks, np.zeros(dimension + 1)])
+    precisions = np.diag(inverse)[:count]
+    variance = max(float(np.mean(coefficients[:count] ** 2 / precisions)), LEAST_VARIANCE)
+    return Prediction(points, inverse, coefficients, smoothing, variance)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.defaults import LEAST_PARTICLES, LEAST_REPEATS, MOVES, PARTICLES, PLAIN, REPEATS
-from dssc_jax.analyses.rare_events.estimate import Estimate, make_plain_draws
+from dssc_jax.analyses.rare_events.estimate import Estimate, simulate_plain_draws
 from dssc_jax.analyses.slacks import SlackCounter, SlackFunction
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import stream
@@ -197,14 +197,14 @@ def split(
         for _ in range(splitting.moves):
             move_clones(moving, counter)
     simulations = counter.simulations
-    plain, _, _ = make_plain_draws(counter, generator(*seeds, stream("plain")), splitting.plain, dimension)
+    plain = simulate_plain_draws(counter, generator(*seeds, stream("plain")), splitting.plain, dimension)
     failing = np.concatenate([repeat.points[repeat.failing] for repeat in repeats])
     return SplittingEstimate(
         simulations=simulations,
         points=failing,
         noise=np.concatenate([repeat.noise[repeat.failing] for repeat in repeats]),
         weights=np.ones(len(failing)),
-        plain=plain,
+        plain=plain.draws,
         estimates=np.array([repeat.answer for repeat in repeats]),
         levels=np.array([repeat.levels for repeat in repeats]),
     )

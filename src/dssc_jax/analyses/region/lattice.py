@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from enum import IntEnum
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,32 @@ class PairVerdict(IntEnum):
     FAILS = 2
 
 
+class CellSide(NamedTuple):
+    """A side of a cell of the lattice: from the point (i, j) to the point (i + di, j + dj)."""
+
+    i: int
+    j: int
+    di: int
+    dj: int
+
+    @property
+    def start(self) -> tuple[int, int]:
+        """The point at which the side begins."""
+        return self.i, self.j
+
+    @property
+    def end(self) -> tuple[int, int]:
+        """The point at which the side ends."""
+        return self.i + self.di, self.j + self.dj
+
+    @property
+    def opposite(self) -> tuple["CellSide", "CellSide"]:
+        """The opposite sides of the two cells that have this side in common."""
+        before = CellSide(self.i - self.dj, self.j - self.di, self.di, self.dj)
+        after = CellSide(self.i + self.dj, self.j + self.di, self.di, self.dj)
+        return before, after
+
+
 class RegionAxis(NamedTuple):
     """One of the two numbers over which a region is searched, and its range.
 
@@ -50,21 +77,29 @@ class RegionAxis(NamedTuple):
         return np.linspace(self.low, self.high, count)
 
 
-def thresholds(draws: int, points: int) -> tuple[int, int]:
-    """Numbers of failed draws that decide a point of the lattice, with confidence for all points together.
+class Thresholds(NamedTuple):
+    """Numbers of failed draws that decide a point of the lattice.
+
+    Args:
+        meets: Most failures with which a point meets; -1: no number is small enough.
+        fails: Fewest failures with which a point fails; the number of draws + 1: no number is large enough.
+    """
+
+    meets: int
+    fails: int
+
+
+def thresholds(draws: int, points: int) -> Thresholds:
+    """The numbers of failed draws that decide a point, with confidence for all points of the lattice together.
 
     Args:
         draws: Number of draws at each point.
         points: Number of points of the lattice.
-
-    Returns:
-        Most failures with which a point meets, -1 if no number is small enough. Fewest failures with which a point
-        fails, draws + 1 if no number is large enough.
     """
     intervals = clopper_pearson(np.arange(draws + 1), draws, 1.0 - (1.0 - CONFIDENCE) / points)
     meets = np.flatnonzero(intervals[:, 1] <= 1.0 - PASSING)
     fails = np.flatnonzero(intervals[:, 0] > 1.0 - PASSING)
-    return int(meets.max(initial=-1)), int(fails.min(initial=draws + 1))
+    return Thresholds(meets=int(meets.max(initial=-1)), fails=int(fails.min(initial=draws + 1)))
 
 
 class Lattice:
@@ -129,12 +164,11 @@ class Lattice:
         """
         count = len(self.failures)
         coarse = range(0, count, stride)
-        self.simulate((i, j) for i in coarse for j in coarse)
+        self.simulate(product(coarse, coarse))
         while stride > 1:
             half = stride // 2
-            shifts = (0, half, stride)
             for i, j in self.mixed_cells(stride):  # the corners of the four halved cells
-                self.simulate((i + a, j + b) for a in shifts for b in shifts)
+                self.simulate(product((i, i + half, i + stride), (j, j + half, j + stride)))
             stride = half
             self.close_boundary(stride)
 
@@ -164,45 +198,38 @@ class Lattice:
         """
         while True:
             points: set[tuple[int, int]] = set()
-            for i, j, a, b in self.boundary_sides(stride):
-                points |= self.corners_beside(i, j, a, b)
+            for side in self.boundary_sides(stride):
+                points |= self.corners_beside(side)
             if not any(self.failures[point] < 0 for point in points):
                 return
             self.simulate(points)
 
-    def boundary_sides(self, stride: int) -> list[tuple[int, int, int, int]]:
+    def boundary_sides(self, stride: int) -> list[CellSide]:
         """The sides of cells that the boundary crosses: both ends are simulated and have different verdicts.
 
         Args:
             stride: Length of a cell's side, in points of the finest lattice.
-
-        Returns:
-            i, j, a and b of each side, which goes from the point (i, j) to (i + a, j + b).
         """
         verdicts = self.verdicts()
-        end = len(self.failures) - 1
+        last = len(self.failures) - 1
         is_simulated = verdicts != PairVerdict.NOT_SIMULATED
-        sides = []
+        crossed_sides = []
         for i, j in np.argwhere(is_simulated).tolist():
             if i % stride or j % stride:
                 continue  # a point of finer cells only
-            for a, b in ((stride, 0), (0, stride)):
-                k = i + a
-                m = j + b
-                if max(k, m) <= end and is_simulated[k, m] and verdicts[k, m] != verdicts[i, j]:
-                    sides.append((i, j, a, b))
-        return sides
+            for side in (CellSide(i, j, stride, 0), CellSide(i, j, 0, stride)):
+                is_complete = max(side.end) <= last and is_simulated[side.end]
+                if is_complete and verdicts[side.end] != verdicts[side.start]:
+                    crossed_sides.append(side)
+        return crossed_sides
 
-    def corners_beside(self, i: int, j: int, a: int, b: int) -> set[tuple[int, int]]:
-        """The other corners of the two cells that have the side from (i, j) to (i + a, j + b) in common.
-
-        A side at the edge of the lattice belongs to a single cell.
-        """
-        end = len(self.failures) - 1
+    def corners_beside(self, side: CellSide) -> set[tuple[int, int]]:
+        """The other corners of the two cells that have a side in common; a side at the edge belongs to one cell."""
+        last = len(self.failures) - 1
         corners: set[tuple[int, int]] = set()
-        for p, q in ((i - b, j - a), (i + b, j + a)):  # the start of the opposite side of each cell
-            if 0 <= p <= end and 0 <= q <= end:
-                corners |= {(p, q), (p + a, q + b)}
+        for opposite in side.opposite:
+            if min(opposite.start) >= 0 and max(opposite.start) <= last:
+                corners |= {opposite.start, opposite.end}
         return corners
 
     def dataset(self, certified: np.ndarray) -> xr.Dataset:

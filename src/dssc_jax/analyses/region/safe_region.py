@@ -137,7 +137,7 @@ class SafeRegion(Analysis):
     def answer(self) -> RegionAnswer:
         """The number of points with each verdict, and the safe ranges, as ``summary.json`` has them."""
         draws = self.study.config.draws
-        low, high = thresholds(draws, self.dataset["verdict"].size)
+        decisive = thresholds(draws, self.dataset["verdict"].size)
         first, second = self.table
         return RegionAnswer(
             names=self.names,
@@ -147,8 +147,8 @@ class SafeRegion(Analysis):
             passing=PASSING,
             confidence=CONFIDENCE,
             interval_method="Clopper-Pearson, simultaneous over all points of the lattice (Bonferroni)",
-            failures_allowed=low,
-            failures_refuting=high,
+            failures_allowed=decisive.meets,
+            failures_refuting=decisive.fails,
             lattice=self.dataset["verdict"].shape,
             simulated_points=self.simulated_points,
             simulations=self.simulations,
@@ -258,8 +258,7 @@ def lattice_size(study: Study, over: tuple[RegionAxis, RegionAxis], halvings: in
 
     def can_meet(number: int) -> bool:
         """Whether a point without a failure among so many draws meets."""
-        most_failures, _ = thresholds(number, count**2)
-        return most_failures >= 0
+        return thresholds(number, count**2).meets >= 0
 
     if not can_meet(draws):
         least_draws = first_integer(can_meet, draws)

@@ -123,7 +123,7 @@ class Tally:
         self.draws[candidates] = goal
 
 
-def race(failing: Failing, count: int, keep: int, within: float, most: int) -> RaceResult:
+def race(failing: Failing, count: int, keep: int, within: float, most_simulations: int) -> RaceResult:
     """Find the K candidates that fail least often, by ever more draws of the candidates in the race.
 
     After each look at the draws, candidates leave for which K others are surely better. The race ends when the K best
@@ -135,7 +135,7 @@ def race(failing: Failing, count: int, keep: int, within: float, most: int) -> R
         count: Number N of candidates.
         keep: Number K of candidates to find, less than ``count``.
         within: Difference of failure probabilities that does not matter, in (0, 1).
-        most: Largest number of simulations; the last look may pass it by one growth.
+        most_simulations: Largest number of simulations; the last look may pass it by one growth.
     """
     evidence_threshold = math.log(3.0 * keep * count / (1.0 - CONFIDENCE))  # for K N pairs and a third of the error
     tally = Tally(failing, count)
@@ -163,7 +163,7 @@ def race(failing: Failing, count: int, keep: int, within: float, most: int) -> R
             safe_candidates = rarely_failing(tally, running[order], keep, within, evidence_threshold)
             if safe_candidates is not None:
                 winners = safe_candidates
-            elif tally.simulations >= most:
+            elif tally.simulations >= most_simulations:
                 proved_within = pairs.proved_difference(evidence_threshold)
             else:
                 goal = math.ceil(GROWTH * goal)
@@ -196,7 +196,9 @@ def rarely_failing(
     Returns:
         ``keep`` candidates, the best first; None if there are not so many.
     """
-    most = math.ceil(2.0 * evidence_threshold / within)  # about twice the draws that a proof takes without a failure
+    most_draws = math.ceil(
+        2.0 * evidence_threshold / within
+    )  # about twice the draws that a proof takes without a failure
     proved_candidates: list[int] = []
     for begin in range(0, TRIED * keep, keep):
         contenders = order[begin : begin + keep]
@@ -206,7 +208,7 @@ def rarely_failing(
             is_proved = log_evidence_of_less(failures, 0, draws, within) >= evidence_threshold
             proved_candidates += contenders[is_proved].tolist()
             is_hopeful = failures <= HOPEFUL * within * draws
-            contenders = contenders[~is_proved & is_hopeful & (draws < most)]
+            contenders = contenders[~is_proved & is_hopeful & (draws < most_draws)]
             if not contenders.size:
                 break
             tally.extend(contenders, 2 * int(tally.draws[contenders[0]]))

@@ -157,13 +157,17 @@ def subtract_controls(numerator: np.ndarray, variance_terms: np.ndarray, control
     Returns:
         Each row's term of the numerator, with less scatter, shape (rows,).
     """
-    target = numerator - variance_terms * (numerator.mean() / variance_terms.mean())
-    by_replicate = controls.reshape(-1, REPLICATES, controls.shape[1])  # (rows of a replicate, replicates, controls)
-    squares = np.einsum("nri,nrj->rij", by_replicate, by_replicate)
-    products = np.einsum("nri,nr->ri", by_replicate, target.reshape(-1, REPLICATES))
-    inverse = np.linalg.pinv(squares.sum(0) - squares, rcond=SINGULAR, hermitian=True)
-    coefficients = np.einsum("rij,rj->ri", inverse, products.sum(0) - products)
-    return numerator - np.einsum("nri,ri->nr", by_replicate, coefficients).reshape(-1)
+    index = numerator.mean() / variance_terms.mean()
+    targets = (numerator - index * variance_terms).reshape(-1, REPLICATES)  # (rows of a replicate, replicates)
+    regressors = controls.reshape(-1, REPLICATES, controls.shape[1])
+    # normal equations of each replicate's rows; n: row, r: replicate, i and j: controls
+    matrices = np.einsum("nri,nrj->rij", regressors, regressors)
+    right_sides = np.einsum("nri,nr->ri", regressors, targets)
+    leave_one_out_matrices = matrices.sum(0) - matrices
+    leave_one_out_sides = right_sides.sum(0) - right_sides
+    inverses = np.linalg.pinv(leave_one_out_matrices, rcond=SINGULAR, hermitian=True)
+    coefficients = np.einsum("rij,rj->ri", inverses, leave_one_out_sides)
+    return numerator - np.einsum("nri,ri->nr", regressors, coefficients).reshape(-1)
 
 
 def sobol_rows(study: Study) -> int:

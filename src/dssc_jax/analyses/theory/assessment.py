@@ -4,7 +4,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 import xarray as xr
@@ -267,28 +267,65 @@ def assess(
     walk = {"over": over, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
     performance = margin(study, **walk, prove=prove, progress=progress)
     study = study.without_sweep()
-    local = {}
-    not_covered = {}
-    for kind in Time:
-        try:
-            local[kind] = local_margin(study, **walk, kind=kind)
-        except ConfigError as error:
-            not_covered[kind.value] = error.rule
-    edge = None  # critical time constant of the linearised loop, with all laws at their medians
+    local, not_covered = local_margins(study, walk)
+    edge = None
     if Time.SAMPLED in local and is_time_constant(study, over):
-        median_study = study.override({**medians(study), "draws": 1})
-        critical = float(local_margin(median_study, **walk).dataset["critical"].values[0])
-        edge = None if np.isnan(critical) else critical
+        edge = median_edge(study, walk)
     oscillations = {}
     try:
-        values = time_constants(study, over, bounds)
-        after = SETTLED * study.config.loop.duration
         loops = {kind_in(study.config, "controller"): study, **(rivals or {})}
-        for name, loop in loops.items():
-            oscillations[name] = chattering(loop, values, push=PUSH, after=after)
+        oscillations = oscillations_along(study, over, bounds, loops)
     except ConfigError as error:
         not_covered[OSCILLATIONS] = error.rule
     return Assessment.of(performance, local, oscillations, edge, not_covered, time.perf_counter() - began)
+
+
+def local_margins(study: Study, walk: Mapping[str, Any]) -> tuple[dict[Time, Margins], dict[str, str]]:
+    """The margins of the linearised loop by kind, and by the name of each missing kind the reason why it is missing.
+
+    Args:
+        study: The study without a sweep.
+        walk: The settings of the walk, as arguments of :func:`local_margin`.
+    """
+    margins = {}
+    reasons = {}
+    for kind in Time:
+        try:
+            margins[kind] = local_margin(study, **walk, kind=kind)
+        except ConfigError as error:
+            reasons[kind.value] = error.rule
+    return margins, reasons
+
+
+def median_edge(study: Study, walk: Mapping[str, Any]) -> float | None:
+    """Critical value of the sampled, linearised loop with all laws at their medians; None if it is not on the walk.
+
+    Args:
+        study: The study without a sweep.
+        walk: The settings of the walk, as arguments of :func:`local_margin`.
+    """
+    median_study = study.override({**medians(study), "draws": 1})
+    critical = float(local_margin(median_study, **walk).dataset["critical"].values[0])
+    return None if np.isnan(critical) else critical
+
+
+def oscillations_along(
+    study: Study, over: str, bounds: tuple[float, float], loops: Mapping[str, Study]
+) -> dict[str, xr.Dataset]:
+    """The return value of :func:`chattering` for each of several controllers, by name.
+
+    Args:
+        study: The study, for its sample time and duration.
+        over: Dotted name of the number that is walked.
+        bounds: Both ends of the walk.
+        loops: The study with each controller.
+
+    Raises:
+        ConfigError: Oscillations cannot be predicted over this number, or for one of the controllers.
+    """
+    values = time_constants(study, over, bounds)
+    after = SETTLED * study.config.loop.duration
+    return {name: chattering(loop, values, push=PUSH, after=after) for name, loop in loops.items()}
 
 
 def is_time_constant(study: Study, name: str) -> bool:

@@ -73,7 +73,8 @@ def require_continuous(study: Study) -> None:
         continuous_kinds = ", ".join(kinds_with(CONTROLLERS, "synthesised"))
         rule = f"'{kind}' synthesises no law (22), which the continuous-time analysis takes; {continuous_kinds} do"
         raise ConfigError(f"{study.source}: controller.kind", rule)
-    loop, template = study.loop, study.template
+    loop = study.loop
+    template = study.template
     place = declared_place(study, "unmodelled", 0, loop.unmodelled[0], template.unmodelled[0])  # 0: the only channel
     smooth_loop, _ = substituted(loop, template, [place])  # dynamics that are smooth nowhere have a substitute
     require_continuous_dynamics(study, smooth_loop.unmodelled[0])
@@ -106,7 +107,8 @@ def opaque_parts(study: Study) -> list[str]:
     Args:
         study: A study on a plant of one channel.
     """
-    loop, template = study.loop, study.template
+    loop = study.loop
+    template = study.template
     sections = []
     if not loop.sensor[0].transparent(template.sensor[0]):
         sections.append("sensor")
@@ -156,10 +158,17 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
         x = unravel_plant(state[: plant_states.size])
         z = unravel_dynamics(state[plant_states.size :])
         total = u + nominal_control(gains.nominal, gains.l0, error_at(state), ORIGIN, predictor_pole_at_rest(gains))
-        _, z_rate = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))  # by dt at dt = 0
+
+        def z_after(dt: jax.Array) -> Any:
+            """The state of the unmodelled dynamics after a step of length dt."""
+            return model.step(dynamics, z, total, dt)
+
+        _, z_rate = jax.jvp(z_after, (0.0,), (1.0,))  # the derivative by dt at dt = 0
         command_at_plant = model.output(dynamics, z, total)
         x_rate = loop.plant.derivative(params.plant, x, quiet._replace(command=command_at_plant), 0.0)  # at the time 0
-        return jnp.concatenate([ravel_pytree(x_rate)[0], ravel_pytree(as_arrays(z_rate))[0]])
+        plant_rates, _ = ravel_pytree(x_rate)
+        dynamics_rates, _ = ravel_pytree(as_arrays(z_rate))
+        return jnp.concatenate([plant_rates, dynamics_rates])
 
     origin = jnp.zeros(plant_states.size + dynamics_states.size)
     a, b = jax.jacfwd(derivative, argnums=(0, 1))(origin, 0.0)

@@ -11,6 +11,7 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, search_critical
+from dssc_jax.analyses.margins.search import CriticalDraws
 from dssc_jax.analyses.margins.simulated import admissible_walk, numbers_along, require_spread
 from dssc_jax.analyses.theory.linearised import (
     RestLinearisation,
@@ -85,6 +86,22 @@ def require_in_criterion(study: Study, over: str, kind: Time) -> None:
         raise ConfigError(
             over, f"has no effect in continuous time, which leaves the {section} out; use the sampled loop"
         )
+
+
+def require_effect_at_rest(study: Study, resting: Study, over: str) -> None:
+    """Refuse a number of the study on which the loop at rest does not depend, such as one of its reference.
+
+    Args:
+        study: The study.
+        resting: The same study at rest.
+        over: Dotted name of the number, or ``spread``.
+
+    Raises:
+        ConfigError: The number has no effect.
+    """
+    acts_at_rest = over in resting.quantities and bool(resting.followers(over))
+    if over in study.quantities and not acts_at_rest:
+        raise ConfigError(over, "has no effect near the origin, where reference and disturbance are neglected")
 
 
 class Spectrum(NamedTuple):
@@ -196,9 +213,7 @@ def local_margin(
     resting = at_rest(study)
     began = time.perf_counter()
     walk = admissible_walk(over, bounds, log, points, bisections)
-    acts_at_rest = over in resting.quantities and bool(resting.followers(over))
-    if over in study.quantities and not acts_at_rest:
-        raise ConfigError(over, "has no effect near the origin, where reference and disturbance are neglected")
+    require_effect_at_rest(study, resting, over)
     if over == SPREAD:
         require_spread(study, bounds)
     sweep = {} if over == SPREAD else {over: sorted(bounds)}  # makes the number an input of the program
@@ -224,8 +239,7 @@ def local_margin(
         study,
         over,
         walk,
-        critical,
-        drawn_numbers=laws,
+        CriticalDraws(critical, laws),
         criterion=(*criteria(resting, kind), *notes),
         seconds=time.perf_counter() - began,
         unit="1/s",

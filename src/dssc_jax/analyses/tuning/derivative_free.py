@@ -42,9 +42,7 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
     plan = problem.plan
     table = plan.table
     size = len(plan.coordinates.names)
-    goal = problem.goal_on(problem.train)
-    lanes_per_member = len(problem.train) + len(problem.extra)
-    most_lanes = min(BLOCK, POPULATION * size * lanes_per_member)
+    most_lanes = min(BLOCK, POPULATION * size * lanes_per_point(problem))
     evaluator = Evaluator(problem.plain.study, problem.plain.extents, most_lanes)
     search = SearchRecord(first.validation)
     generation = 0
@@ -52,16 +50,7 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
 
     def costs_of(columns: np.ndarray) -> np.ndarray:
         """Cost of each member of a generation; SciPy passes shape (size, members), or (size,) for a single member."""
-        z = np.atleast_2d(columns.T)
-        results = problem.results(z, problem.train, evaluator)
-        costs = np.full(len(z), UNFIT)
-        for i in range(len(z)):
-            lanes = slice(i * lanes_per_member, (i + 1) * lanes_per_member)
-            results_of_member = {name: array[lanes] for name, array in results.items()}
-            merit = goal.merit(results_of_member, (), len(problem.extra))  # (): no derivatives
-            if not merit.ended and problem.is_admissible(z[i]):
-                costs[i] = merit.objective / first.scale + PENALTY * merit.violation
-        return costs
+        return costs_at(problem, np.atleast_2d(columns.T), first.scale, evaluator)
 
     def record(z: np.ndarray) -> None:
         """Record the best member so far, evaluated on the training and on the validation draws."""
@@ -88,6 +77,35 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
     return search
 
 
+def lanes_per_point(problem: Problem) -> int:
+    """Number of lanes that a point of the search takes: the training draws, then the counterexamples."""
+    return len(problem.train) + len(problem.counterexample_draws)
+
+
+def costs_at(problem: Problem, z: np.ndarray, scale: float, evaluator: Evaluator) -> np.ndarray:
+    """Relative objective plus penalty of each of several points on the training draws, shape (points,).
+
+    A point that is not admissible, or whose draws end early, has the cost :data:`UNFIT`.
+
+    Args:
+        problem: Objective and limits as functions of the search's coordinates.
+        z: Coordinates of the points, shape (points, n).
+        scale: Size of the start's objective.
+        evaluator: The program, without derivatives.
+    """
+    goal = problem.goal_on(problem.train)
+    results = problem.results(z, problem.train, evaluator)
+    lanes_of_point = lanes_per_point(problem)
+    costs = np.full(len(z), UNFIT)
+    for row, point in enumerate(z):
+        lanes = slice(row * lanes_of_point, (row + 1) * lanes_of_point)
+        results_of_point = {name: array[lanes] for name, array in results.items()}
+        merit = goal.merit(results_of_point, (), len(problem.counterexample_draws))  # (): no derivatives
+        if not merit.ended and problem.is_admissible(point):
+            costs[row] = merit.objective / scale + PENALTY * merit.violation
+    return costs
+
+
 EDGE = 0.5  # length of the edges of the first simplex, in the search's coordinates
 FINE_EDGE = 0.02  # largest size of the last simplex, in the same coordinates
 FINE_SCORE = 1e-3  # largest difference of scores in the last simplex
@@ -97,11 +115,7 @@ FINE_SCORE = 1e-3  # largest difference of scores in the last simplex
 class ProvedComparison:
     """The proved number that was optimised, at the start and in the result.
 
-    Args:
-        aim: What was optimised, as ``[tune] aim`` names it.
-        start: The proved number at the start.
-        result: The proved number in the result.
-        over: The number along which the loop is proved, for ``proved_up_to``; else None.
+    ``over`` is None unless the last value at which the loop is proved was optimised.
     """
 
     aim: Annotated[str, Quantity("", "what was optimised")]

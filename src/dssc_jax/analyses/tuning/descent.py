@@ -1,6 +1,7 @@
 """Searches with derivatives: gradient descent by optax, and sequential quadratic programming by SciPy."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -21,6 +22,7 @@ from dssc_jax.analyses.tuning.problem import (
     headroom,
 )
 from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.study.schema import TuneTable
 
 FINAL_RATE = 0.01  # final share of the learning rate in the cosine schedule
 HALVINGS = 8  # most halvings of a step
@@ -105,10 +107,7 @@ def descend(problem: Problem, first: StartPoints, progress: ProgressCallback | N
         progress: Called after each step.
     """
     table = problem.plan.table
-    rate: float | optax.Schedule = table.learning_rate
-    if table.schedule == "cosine":
-        rate = optax.cosine_decay_schedule(table.learning_rate, table.steps, FINAL_RATE)
-    optimiser = optax.chain(optax.clip_by_global_norm(1.0), getattr(optax, table.optimiser)(rate))
+    optimiser = optimiser_of(table)
     multipliers = Multipliers(first.scale)
     rng = np.random.default_rng(problem.plan.seed)
     search = SearchRecord(first.validation)
@@ -138,6 +137,14 @@ def descend(problem: Problem, first: StartPoints, progress: ProgressCallback | N
             search.stopped = f"no better on the validation draws for {stale} looks"
             break
     return search
+
+
+def optimiser_of(table: TuneTable) -> optax.GradientTransformation:
+    """The optimiser of optax that ``[tune]`` names, with its learning rate, for gradients of length 1 at most."""
+    rate: float | optax.Schedule = table.learning_rate
+    if table.schedule == "cosine":
+        rate = optax.cosine_decay_schedule(table.learning_rate, table.steps, FINAL_RATE)
+    return optax.chain(optax.clip_by_global_norm(1.0), getattr(optax, table.optimiser)(rate))
 
 
 def smoothing_width(first: float, finished_share: float) -> float:
@@ -173,10 +180,10 @@ def shortened_step(
     for halvings in range(HALVINGS):
         z = iterate.z + change * 0.5**halvings
         if problem.is_admissible(z):
-            point = problem.at(z, batch)
+            point = problem.differentiate(z, batch)
             if point.merit.objective <= highest_objective and point.merit.violation <= highest_violation:
                 return point, halvings
-    return problem.at(iterate.z, batch), HALVINGS
+    return problem.differentiate(iterate.z, batch), HALVINGS
 
 
 STAGES = 4  # stages of the search, between which the width of the sign and the headroom of limits change
@@ -232,6 +239,18 @@ class OutOfPatience(Exception):
     """Raised to end SLSQP: no point was better on the validation draws for as many steps as the patience allows."""
 
 
+class AssessedPoint(NamedTuple):
+    """A point of the search, and whether SLSQP may use it.
+
+    Args:
+        point: The point, evaluated on the training draws.
+        is_fit: Whether its draws do not end early, and its certificates hold.
+    """
+
+    point: EvaluatedPoint
+    is_fit: bool
+
+
 @dataclass
 class QuadraticSearch:
     """Cost, limits and derivatives as functions for SLSQP, of x = (z, e).
@@ -256,23 +275,21 @@ class QuadraticSearch:
     progress: ProgressCallback | None
     step_count: int = 0
     gaps: dict[str, float] = field(default_factory=dict)
-    _points: dict[bytes, tuple[EvaluatedPoint, bool]] = field(default_factory=dict)  # of the stage, by bytes of z
+    _points: dict[bytes, AssessedPoint] = field(default_factory=dict)  # of the stage, by bytes of z
     _stale: int = 0  # steps since the best one
 
     def __post_init__(self) -> None:
         """Fix the order of the limits."""
         self.names = list(self.iterate.merit.excess)  # of the limits
 
-    def at(self, x: np.ndarray) -> tuple[EvaluatedPoint, bool]:
-        """The evaluated point at x, and whether its draws do not end early and its certificates hold.
-
-        It is computed once in a stage.
-        """
+    def at(self, x: np.ndarray) -> AssessedPoint:
+        """The point at x, which is evaluated once in a stage."""
         z = x[:-1]
         key = z.tobytes()
         if key not in self._points:
-            point = self.problem.at(z, self.problem.train)
-            self._points[key] = point, not point.merit.ended and self.problem.is_admissible(z)
+            point = self.problem.differentiate(z, self.problem.train)
+            is_fit = not point.merit.ended and self.problem.is_admissible(z)
+            self._points[key] = AssessedPoint(point, is_fit)
         return self._points[key]
 
     def cost(self, x: np.ndarray) -> float:
@@ -290,7 +307,7 @@ class QuadraticSearch:
         Raises:
             OutOfPatience: There was no improvement for too long.
         """
-        point, _ = self.at(x)
+        point = self.at(x).point
         if not np.array_equal(point.z, self.iterate.z):
             self.take_step(point)
         return np.append(point.gradient / self.scale, PENALTY)
@@ -311,19 +328,24 @@ class QuadraticSearch:
         if self._stale >= table.patience:
             raise OutOfPatience
 
-    def room(self, x: np.ndarray) -> np.ndarray:
-        """The largest excess e, the last entry of x, less the excess of each limit, shape (limits,); it is kept >= 0.
+    def constraints(self, x: np.ndarray) -> np.ndarray:
+        """The functions that SLSQP keeps >= 0: the largest excess e, the last entry of x, less each limit's excess.
 
         Headroom and gap are added to the excess of a limit. A point whose draws end early exceeds every limit by 1.
+
+        Returns:
+            Shape (limits,).
         """
-        point, _ = self.at(x)
-        excess = point.merit.excess
-        tightened_excesses = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
+        point = self.at(x).point
+        tightened_excesses = []
+        for name in self.names:
+            excess = point.merit.excess.get(name, 1.0)
+            tightened_excesses.append(excess + headroom(name) + self.gaps.get(name, 0.0))
         return x[-1] - np.array(tightened_excesses)
 
-    def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Derivatives of :meth:`room` by x, shape (limits, n + 1); 0 by z if draws end early."""
-        point, _ = self.at(x)
+    def constraint_slopes(self, x: np.ndarray) -> np.ndarray:
+        """Derivatives of :meth:`constraints` by x, shape (limits, n + 1); 0 by z if draws end early."""
+        point = self.at(x).point
         no_slope = np.zeros(len(x) - 1)
         by_z = np.array([point.slopes.get(name, no_slope) for name in self.names])
         by_largest_excess = np.ones((len(by_z), 1))
@@ -334,8 +356,8 @@ class QuadraticSearch:
         self._points.clear()
         self._stale = 0
         start = np.append(np.clip(self.iterate.z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH), 0.0)
-        start[-1] = max([0.0, *-self.room(start)])  # the least excess that all limits allow
-        limits = {"type": "ineq", "fun": self.room, "jac": self.slopes}
+        start[-1] = max([0.0, *-self.constraints(start)])  # the least excess that all limits allow
+        limits = {"type": "ineq", "fun": self.constraints, "jac": self.constraint_slopes}
         constraints = [limits] if self.names else []
         box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * (len(start) - 1)
         not_negative = (0.0, None)

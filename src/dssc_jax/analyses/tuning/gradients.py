@@ -25,20 +25,10 @@ INSET = 0.05  # share of an interval's logarithm that is left out at both ends
 
 @dataclass(frozen=True)
 class GradientAgreement:
-    """How well the derivatives of metrics agree with differences.
+    """How well the derivatives of metrics agree with differences, at random points along each coordinate.
 
-    Args:
-        points: Number of random points, each with a draw.
-        compared: Number of derivatives compared: of each metric at each point, along each coordinate.
-        kinks: Share of the derivatives at which the slopes on the two sides differ.
-        agreeing: Share of the remaining derivatives that agree to 1e-4 relative.
-        useful: Share of all derivatives that agree.
-        predictive: Share of the derivatives that predict the effect of a step of 0.03 of the coordinate to within a
-            half. If a loop chatters, derivatives can be exact without predicting anything.
-        ended: Number of points whose draw ended early; they are not compared.
-        finite: Whether no derivative of a completed draw is NaN or infinite.
-        kinked: Share of kinks for each metric along each number.
-        disagreeing: Disagreements away from kinks, worst first: metric, number, point, slopes.
+    A long step is 0.03 of a coordinate. If a loop chatters, derivatives can be exact without predicting anything.
+    Points whose draw ended early are not compared. A disagreement has metric, number, point and slopes.
     """
 
     points: Annotated[int, Quantity("1", "random points, each with its own draw")]
@@ -158,20 +148,31 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     comparison = compare_derivatives(exact, differences.value, differences.forward, differences.backward)
     predictive = is_predictive(exact, differences.value, differences.step_slope)
     count = int(np.count_nonzero(is_complete))
-    kink_shares = np.mean(comparison.kink, axis=1) if count else np.zeros((len(metrics), tuned_count))
-    kinked = {}
-    for metric, row in zip(metrics, kink_shares.tolist(), strict=True):
-        kinked[metric] = dict(zip(coordinates.names, row, strict=True))
     tuned = {name: column[is_complete] for name, column in coordinates.tuned(centre).items()}
     return GradientAgreement(
         points=points,
         compared=comparison.exact.size,
         predictive=float(np.mean(predictive)) if predictive.size else 0.0,
         ended=points - count,
-        kinked=kinked,
+        kinked=kink_shares(comparison.kink, metrics, coordinates.names),
         disagreeing=[disagreement(comparison, place, metrics, tuned) for place in comparison.worst()],
         **comparison.shares,
     )
+
+
+def kink_shares(kink: np.ndarray, metrics: Sequence[str], numbers: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Share of the points at which a metric has a kink along a tuned number, by metric and number; 0 without points.
+
+    Args:
+        kink: Whether there is a kink, shape (metrics, points, tuned numbers).
+        metrics: Names of the metrics.
+        numbers: Names of the tuned numbers.
+    """
+    shares = np.mean(kink, axis=1) if kink.shape[1] else np.zeros((len(metrics), len(numbers)))
+    by_metric = {}
+    for metric, row in zip(metrics, shares.tolist(), strict=True):
+        by_metric[metric] = dict(zip(numbers, row, strict=True))
+    return by_metric
 
 
 def coordinate_shifts(tuned_count: int) -> np.ndarray:

@@ -184,14 +184,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class MissedBound:
-    """A requirement or a limit that a point misses.
-
-    Args:
-        text: The bound, in words.
-        draws: Number of draws that miss it; None for a limit, which bounds the mean over the draws.
-        excess: Distance from the bound of the worst draw, or of the mean over the draws; infinite if the metric is.
-        unit: Unit of the excess.
-    """
+    """A requirement or a limit that a point misses, in words; the excess is infinite if the metric is."""
 
     text: Annotated[str, Quantity("", "the bound")]
     draws: Annotated[int | None, Quantity("1", "draws that miss it; None of a bound of the mean")]
@@ -249,19 +242,9 @@ Triple = tuple[float, float, float]
 class Verdict:
     """Comparison of the result of a tuning with its start, on the same fresh draws. Pairs are (start, result).
 
-    Args:
-        draws: Number of draws, which are those of the study itself.
-        objective: The aggregate of the costs; infinite if a draw ended early.
-        reduction: Reduction of the objective, 1 - result/start.
-        reduction_interval: Bootstrap interval of the reduction over the draws; NaN if a draw ended early.
-        quantile: Exact order-statistic intervals of the cost's quantile at the level of the aggregate.
-        difference: Median and exact interval of the difference of the cost draw by draw, result minus start.
-        limits: Bound of each limit, and the means at the start and in the result.
-        failures: Number of failed draws.
-        requirements: Number of draws that violate each requirement.
-        intervals: Exact (Clopper-Pearson) intervals of the failure probabilities.
-        failure_difference: Exact interval of the difference of the failure probabilities for paired draws, result minus
-            start, and McNemar's p-value.
+    ``objective`` is infinite, and ``reduction_interval`` NaN, if a draw ended early. ``quantile`` has exact
+    order-statistic intervals at the level of the aggregate, and ``intervals`` are exact (Clopper-Pearson). Differences
+    are result minus start, draw by draw.
     """
 
     draws: Annotated[int, Quantity("1", "number of fresh draws")]

@@ -107,7 +107,7 @@ class Problem:
         table = self.plan.table
         start = self.plan.numbers_at(self.plan.coordinates.origin)
         self.names = list(start)
-        lanes = min(BLOCK, max(table.draws, table.validation) + len(self.extra))
+        lanes = min(BLOCK, max(table.draws, table.validation) + len(self.counterexample_draws))
         extents = {name: (value, value) for name, value in start.items()}
         self.plain = Evaluator(trial, extents, lanes)
         self.width = table.smoothing
@@ -128,7 +128,7 @@ class Problem:
         )
 
     @property
-    def extra(self) -> np.ndarray:
+    def counterexample_draws(self) -> np.ndarray:
         """Draw index of each counterexample, shape (counterexamples,); 0, since they were found with draw 0's noise."""
         if not self.counterexamples:
             return np.zeros(0, dtype=int)
@@ -147,7 +147,7 @@ class Problem:
         results = self.results(origin[None], draws, self.plain)
         self.start_metrics = {name: results[name][: len(draws)] for name in self.plan.table.limits}
         needs_derivatives = self.differentiable and not self.plan.optimises_proof
-        train = self.at(origin, self.train) if needs_derivatives else self.evaluate(origin, self.train)
+        train = self.differentiate(origin, self.train) if needs_derivatives else self.evaluate(origin, self.train)
         return StartPoints(train, self.evaluate(origin))
 
     def goal_on(self, draws: np.ndarray) -> Goal:
@@ -173,7 +173,7 @@ class Problem:
         Returns:
             Arrays of shape (m (d + counterexamples),), point by point.
         """
-        indices = np.concatenate([draws, self.extra])
+        indices = np.concatenate([draws, self.counterexample_draws])
         lanes = {}
         for name, column in self.laws.items():
             values = np.concatenate([column[draws], self.counterexamples.get(name, [])])
@@ -212,20 +212,20 @@ class Problem:
         """
         draws = self.validation if draws is None else draws
         results = self.results(z[None], draws, self.plain)
-        merit = self.goal_on(draws).merit(results, (), len(self.extra))  # (): no derivatives
+        merit = self.goal_on(draws).merit(results, (), len(self.counterexample_draws))  # (): no derivatives
         if self.slacks is not None and not merit.ended:
             slack_excess, _ = self.slacks.at(z)
             merit = merit._replace(excess=merit.excess | slack_excess)
         return EvaluatedPoint(z, merit, gradient=np.full(len(z), np.nan), slopes={})
 
-    def at(self, z: np.ndarray, draws: np.ndarray) -> EvaluatedPoint:
+    def differentiate(self, z: np.ndarray, draws: np.ndarray) -> EvaluatedPoint:
         """Evaluate a point with derivatives, at the present width of the sign, on some of the draws.
 
         Args:
             z: Coordinates of the point, shape (n,).
             draws: Indices of the draws.
         """
-        merit = self.goal_on(draws).merit(self.results(z[None], draws), self.names, len(self.extra))
+        merit = self.goal_on(draws).merit(self.results(z[None], draws), self.names, len(self.counterexample_draws))
         if merit.ended:
             return EvaluatedPoint(z, merit, gradient=np.full(len(z), np.nan), slopes={})
         number_slopes = {name: column[0] for name, column in self.plan.coordinates.slopes(z[None]).items()}
@@ -273,14 +273,14 @@ class SearchRecord:
             draws, tuned numbers.
         stopped: The reason why the search ended.
         shortened: Number of halvings of steps that led to points that are not allowed.
-        lowest: Rank of the best point.
+        best_rank: Rank of the best point; smaller is better.
     """
 
     best: EvaluatedPoint
     history: list[dict[str, float | None]] = field(default_factory=list)
     stopped: str = "all steps done"
     shortened: int = 0
-    lowest: tuple[float, float] = (float("inf"), float("inf"))
+    best_rank: tuple[float, float] = (float("inf"), float("inf"))
 
     def record(
         self, problem: Problem, step: int, train: EvaluatedPoint, validation: EvaluatedPoint, score: float | None = None
@@ -307,10 +307,10 @@ class SearchRecord:
             row[name] = float(value)
         self.history.append(row)
         new_rank = rank(validation, score)
-        is_best = new_rank < self.lowest
+        is_best = new_rank < self.best_rank
         if is_best or step == 0:
             self.best = validation
-            self.lowest = new_rank
+            self.best_rank = new_rank
         return is_best
 
 

@@ -38,10 +38,10 @@ def tune_table(study: Study) -> TuneTable:
         raise ConfigError("tune.seed", f"must not be the study's own, whose draws decide, got {seed}")
     require_metrics(study, table)
     if table.smoothing is not None:
-        require_sign(study)
-    require_room(study, table)
+        require_smoothable_sign(study)
+    require_compatible_bounds(study, table)
     for name in table.parameters:
-        require_number(study, name, table)
+        require_tunable(study, name, table)
     require_theorem_settings(table)
     require_aim(study, table)
     if table.proved:
@@ -171,7 +171,7 @@ def require_metrics(study: Study, table: TuneTable) -> None:
         raise ConfigError("tune.objective", f"needs a weight other than 0, got {table.objective}")
 
 
-def require_room(study: Study, table: TuneTable) -> None:
+def require_compatible_bounds(study: Study, table: TuneTable) -> None:
     """Require that some value of every metric meets all of its requirements and limits.
 
     Raises:
@@ -194,7 +194,7 @@ def require_room(study: Study, table: TuneTable) -> None:
             raise ConfigError(place, f"no value of {name} is >= {least:g} and <= {highest:g}: nothing can satisfy both")
 
 
-def require_sign(study: Study) -> None:
+def require_smoothable_sign(study: Study) -> None:
     """Require controllers with a sign function that ``smoothing`` can smooth, and that the study does not smooth.
 
     Raises:
@@ -206,7 +206,7 @@ def require_sign(study: Study) -> None:
         raise ConfigError("tune.smoothing", "is the first of a falling width; take sign_width out of [controller]")
 
 
-def require_number(study: Study, name: str, table: TuneTable) -> None:
+def require_tunable(study: Study, name: str, table: TuneTable) -> None:
     """Require that a name of ``[tune.parameters]`` is a number of the loop that can be tuned.
 
     Args:
@@ -246,8 +246,9 @@ def require_fixed_bounds(study: Study, name: str) -> None:
     """
     place = f"tune.parameters.{name}"
     for follower in study.followers(name):
-        parts = follower.split(".")
-        if parts[0] in ASSUMED or "nominal" in parts:
+        sections = follower.split(".")
+        is_of_bounds = sections[0] in ASSUMED or "nominal" in sections
+        if is_of_bounds:
             rule = "is what the theorem's bounds are made of, so that they would move; give it a number"
             raise ConfigError(place, rule)
         if follower != name and follower in PARAMETER_OF_NUMBER:

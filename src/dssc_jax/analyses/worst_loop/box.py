@@ -104,6 +104,12 @@ def cut_ends(name: str, law: Law, sigma: float) -> tuple[float, float]:
     return low, high
 
 
+def grown_box(sides: int, growth: float) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner of the box [-1, 1]^sides after a growth about its middle, shape (sides,) each."""
+    corner = growth * np.ones(sides)
+    return -corner, corner
+
+
 def admissible_growths(study: Study, box: Box) -> list[float]:
     """The factors of :data:`GROWTHS` by which the box can grow so that the study accepts its ends, largest first.
 

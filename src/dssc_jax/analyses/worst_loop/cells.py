@@ -29,14 +29,21 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.worst_loop.family import Evaluate, RemainingPoints
-from dssc_jax.analyses.worst_loop.linear_models import WIDENED, LinearModel, LinearModels, measurement_points
+from dssc_jax.analyses.worst_loop.linear_models import (
+    WIDENED,
+    LinearModel,
+    LinearModels,
+    measurement_points,
+    stack_models,
+)
+from dssc_jax.analyses.worst_loop.matrices import add_border, dominant_vectors, invert
 from dssc_jax.analyses.worst_loop.readouts import SINGLE_READOUT, Enclosure, Readout
 
 FIRST_ANGLE = 1e-3  # end of the first interval of angles, which begins at 0, relative to the slowest pole
 INTERVALS = 24  # further intervals of angles at the start, up to pi
 BATCH_CELLS = 256  # most cells that are halved at once
 CHEAPER = 3.0  # preference for halving an interval of angles, since half a box has to be linearised again
-SQUARINGS = 4  # squarings of a matrix, after which its largest eigenvalue prevails
+GAP = 1.05  # ratio of a bound to the value found, at which the search for a better bound ends
 UNBOUNDED = np.inf  # the bound of a gain that has none
 
 
@@ -55,9 +62,13 @@ class Cells(NamedTuple):
     start: np.ndarray
     end: np.ndarray
 
-    def at(self, index: np.ndarray) -> "Cells":
-        """The cells with the given indices."""
-        return Cells(*(part[index] for part in self))
+    def select(self, indices: np.ndarray) -> "Cells":
+        """The cells at some indices."""
+        return Cells(self.low[indices], self.high[indices], self.start[indices], self.end[indices])
+
+    def join(self, further: "Cells") -> "Cells":
+        """These cells, then further ones."""
+        return Cells(*(np.concatenate(columns) for columns in zip(self, further, strict=True)))
 
 
 class CellBounds(NamedTuple):
@@ -70,6 +81,14 @@ class CellBounds(NamedTuple):
 
     gains: np.ndarray
     axis: np.ndarray
+
+    def select(self, indices: np.ndarray) -> "CellBounds":
+        """The bounds on the cells at some indices."""
+        return CellBounds(self.gains[indices], self.axis[indices])
+
+    def join(self, further: "CellBounds") -> "CellBounds":
+        """The bounds on these cells, then those on further ones."""
+        return CellBounds(np.concatenate([self.gains, further.gains]), np.concatenate([self.axis, further.axis]))
 
 
 class CoverBounds(NamedTuple):
@@ -113,8 +132,8 @@ def first_angles(poles: np.ndarray) -> np.ndarray:
         poles: Poles of the loop in the middle of the box, shape (states,).
     """
     lasting_poles = poles[np.abs(poles) > FIRST_ANGLE].astype(complex)  # the others decay within one sample
-    slowest = np.abs(np.log(lasting_poles)).min(initial=1.0)
-    first = min(FIRST_ANGLE * slowest, 0.1)
+    slowest_pole_angle = np.abs(np.log(lasting_poles)).min(initial=1.0)  # |s| T_s, as z = exp(s T_s)
+    first = min(FIRST_ANGLE * slowest_pole_angle, 0.1)
     return np.concatenate([[0.0], np.geomspace(first, np.pi, INTERVALS)])
 
 
@@ -122,7 +141,7 @@ def cover_box(
     evaluate: Evaluate,
     ends: tuple[np.ndarray, np.ndarray],
     goals: np.ndarray,
-    most: int,
+    most_cells: int,
     remaining_points: RemainingPoints,
     readout: Readout = SINGLE_READOUT,
 ) -> CoverBounds:
@@ -132,7 +151,7 @@ def cover_box(
         evaluate: The loop at points of the box; it is stable at one of them.
         ends: Lower and upper corner of the box, shape (sides,).
         goals: Bounds that are good enough, shape (gains,).
-        most: Number of cells to compute at most; the first :data:`INTERVALS` are computed in any case.
+        most_cells: Largest number of cells to compute; the first :data:`INTERVALS` are computed in any case.
         remaining_points: Number of points that may still be evaluated.
         readout: The gains.
     """
@@ -146,23 +165,20 @@ def cover_box(
     cell_count = len(cells.start)
     while True:
         excess = np.max(bounds.gains / goals, axis=1)
-        order = np.argsort(-excess)  # the worst first
-        halvable = min(BATCH_CELLS, max(0, most - cell_count) // 2)
-        worst = order[excess[order] > 1.0][:halvable]
+        worst_first = np.argsort(-excess)
+        halvable = min(BATCH_CELLS, max(0, most_cells - cell_count) // 2)
+        worst = worst_first[excess[worst_first] > 1.0][:halvable]
         is_angular = bounds.axis[worst] == sides  # both halves share the linear model of their part of the box
-        points = np.cumsum(np.where(is_angular, 0, 2 * points_per_part))
-        worst = worst[points <= remaining_points()]
+        points_so_far = np.cumsum(np.where(is_angular, 0, 2 * points_per_part))
+        worst = worst[points_so_far <= remaining_points()]
         if not worst.size:
             return CoverBounds(bounds.gains.max(axis=0), cell_count)
-        kept_cells = np.setdiff1d(order, worst)
-        half_cells = halve(cells.at(worst), bounds.axis[worst])
-        halves = bound_cells(half_cells, models.on(half_cells.low, half_cells.high), goals, readout)
-        cells = Cells(*(np.concatenate(parts) for parts in zip(cells.at(kept_cells), half_cells, strict=True)))
-        bounds = CellBounds(
-            np.concatenate([bounds.gains[kept_cells], halves.gains]),
-            np.concatenate([bounds.axis[kept_cells], halves.axis]),
-        )
-        cell_count += len(half_cells.start)
+        kept = np.setdiff1d(worst_first, worst)
+        halves = halve(cells.select(worst), bounds.axis[worst])
+        half_bounds = bound_cells(halves, models.on(halves.low, halves.high), goals, readout)
+        cells = cells.select(kept).join(halves)
+        bounds = bounds.select(kept).join(half_bounds)
+        cell_count += len(halves.start)
 
 
 def first_cells(evaluate: Evaluate, ends: tuple[np.ndarray, np.ndarray], channels: int) -> Cells:
@@ -182,7 +198,7 @@ def first_cells(evaluate: Evaluate, ends: tuple[np.ndarray, np.ndarray], channel
 
 
 def halve(cells: Cells, axis: np.ndarray) -> Cells:
-    """Halve n cells along one axis each: 2 n cells, all lower halves first, then the upper halves.
+    """Halve n cells, each along one of its sides: 2 n cells, all lower halves first, then the upper halves.
 
     Args:
         cells: The n cells.
@@ -199,7 +215,7 @@ def halve(cells: Cells, axis: np.ndarray) -> Cells:
     middles = 0.5 * (cells.low[rows, sides] + cells.high[rows, sides])
     lower.high[rows, sides] = middles
     upper.low[rows, sides] = middles
-    return Cells(*(np.concatenate(halves) for halves in zip(lower, upper, strict=True)))
+    return lower.join(upper)
 
 
 def bound_cells(cells: Cells, models: Sequence[LinearModel], goals: np.ndarray, readout: Readout) -> CellBounds:
@@ -214,7 +230,7 @@ def bound_cells(cells: Cells, models: Sequence[LinearModel], goals: np.ndarray, 
         goals: Bounds that are good enough, shape (gains,).
         readout: The gains.
     """
-    centre, slopes, deviation, bends = (np.stack(parts) for parts in zip(*models, strict=True))
+    centre, slopes, deviation, bends = stack_models(models)
     is_finite = np.all(np.isfinite(deviation), axis=(1, 2)) & np.all(np.isfinite(centre), axis=(1, 2))
     sides = slopes.shape[1]
     channels = readout.channels
@@ -349,50 +365,3 @@ def expand(cells: Cells, centre: np.ndarray, slopes: np.ndarray, deviation: np.n
     second_order = 0.5 * (half_width**2)[:, None, None] * state_identity  # |z - z_0 - j z_0 dtheta| <= dtheta^2 / 2
     remainder = add_border(deviation, channels) + second_order
     return Expansion(n_0, steps, remainder)
-
-
-def invert(matrices: np.ndarray) -> np.ndarray:
-    """Inverses of n matrices, of their shape (n, m, m); NaN for a singular one."""
-    try:
-        return np.linalg.inv(matrices)  # all at once, which fails if one is singular
-    except np.linalg.LinAlgError:
-        result = np.full_like(matrices, np.nan)
-        for index, matrix in enumerate(matrices):
-            try:
-                result[index] = np.linalg.inv(matrix)
-            except np.linalg.LinAlgError:
-                continue
-        return result
-
-
-def dominant_vectors(k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Left and right eigenvectors of the largest eigenvalues of n nonnegative matrices, roughly; shape (n, m) each.
-
-    A high power of a matrix is nearly the product of the two vectors: its columns and rows are multiples of them.
-
-    Args:
-        k: The matrices, shape (n, m, m).
-    """
-    power = k
-    for _ in range(SQUARINGS):
-        power = power @ power
-        power /= np.maximum(power.max(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
-    return power.sum(axis=1), power.sum(axis=2)
-
-
-def add_border(matrices: np.ndarray, channels: int) -> np.ndarray:
-    """Matrices [[A, B], [C, 0]] in the places that A, B and C have in N: [[A, B, 0], [0, 0, 0], [C, 0, 0]].
-
-    Args:
-        matrices: Shape (..., states + channels, states + channels).
-        channels: Columns of B.
-
-    Returns:
-        Shape (..., states + 2 channels, states + 2 channels).
-    """
-    size = matrices.shape[-1]
-    states = size - channels
-    result = np.zeros((*matrices.shape[:-2], size + channels, size + channels), matrices.dtype)
-    result[..., :states, :size] = matrices[..., :states, :]
-    result[..., size:, :states] = matrices[..., states:, :states]
-    return result

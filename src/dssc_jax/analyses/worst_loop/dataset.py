@@ -80,7 +80,8 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
     variables = perturbation_variables(box, loop_cases)
     has_operating_point = np.array([case.has_operating_point for case in loop_cases])
     variables["has_operating_point"] = ("loop", has_operating_point, {"long_name": OPERATING_POINT})
-    depends = np.array([[side.name in case.names for side in box.sides] for case in loop_cases])
+    number_names = np.array([side.name for side in box.sides])
+    depends = np.stack([np.isin(number_names, case.names) for case in loop_cases])
     variables["depends"] = (("loop", "number"), depends, {"long_name": "whether the number changes the loop"})
     for name, meaning in MARGIN_VALUES.items():
         values = np.stack([getattr(case, name) for case in loop_cases])
@@ -94,7 +95,7 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
     coords = {
         "loop": ("loop", np.array(list(cases)), {"long_name": "where the loop is broken"}),
         "margin": ("margin", np.array(MARGINS), {"long_name": "margin"}),
-        "number": ("number", np.array([side.name for side in box.sides]), {"long_name": "uncertain number"}),
+        "number": ("number", number_names, {"long_name": "uncertain number"}),
     }
     return xr.Dataset(variables, coords=coords)
 

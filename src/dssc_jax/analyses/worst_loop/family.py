@@ -1,6 +1,7 @@
 """The linearised loop at any point of the box."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -55,8 +56,7 @@ class LoopFamily:
         new_points = list(new_by_key.values())
         for first in range(0, len(new_points), BATCH_POINTS):
             self.store(np.array(new_points[first : first + BATCH_POINTS]))
-        loops = [self.cache[self.row_of_point[key]] for key in keys]
-        return StateMatrices(*(np.stack(parts) for parts in zip(*loops, strict=True)))
+        return stack_loops([self.cache[self.row_of_point[key]] for key in keys])
 
     def store(self, batch: np.ndarray) -> None:
         """Linearise the loop at new points and store it in the cache.
@@ -84,10 +84,10 @@ class LoopFamily:
             drawn: The loops of the draws that have an operating point.
         """
         representatives = [loop for loop in self.patterns.values() if np.isfinite(loop.a).all()]
-        parts = []
-        for index, part in enumerate(drawn):
-            parts.append(np.concatenate([part, *(loop[index][None] for loop in representatives)]))
-        return StateMatrices(*parts)
+        if not representatives:
+            return drawn
+        pairs = zip(drawn, stack_loops(representatives), strict=True)
+        return StateMatrices(*(np.concatenate(pair) for pair in pairs))
 
     def states_at(self, drawn: StateMatrices, place: int) -> np.ndarray:
         """Indices of the states that carry a signal back to a break point, in a draw or at a linearised point.
@@ -100,14 +100,13 @@ class LoopFamily:
         all_loops = np.ones(len(loops.a), bool)
         return loops.loop_states(place, all_loops)
 
-    def remaining_points(self, most: int) -> int:
-        """Number of points that may still be linearised, if ``most`` is the limit for all searches together."""
-        return max(0, most - len(self.cache))
+    def remaining_points(self, limit: int) -> int:
+        """Number of points that may still be linearised, with a limit for all searches together."""
+        return max(0, limit - len(self.cache))
 
     def allowance(self, points: int) -> RemainingPoints:
         """Return a function that counts how many of ``points`` further points may still be linearised."""
-        most_rows = len(self.cache) + points
-        return lambda: max(0, most_rows - len(self.cache))
+        return partial(self.remaining_points, len(self.cache) + points)
 
     def linearise(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
         """Linearise the loop at points of shape (n, sides); NaN where there is no equilibrium.
@@ -123,7 +122,7 @@ class LoopFamily:
         if np.any(self.findings == Finding.CORNER):
             findings = np.broadcast_to(self.findings, (len(points), self.findings.size))
             matrices = self.resting.linearise(values, indices, states, ANY_SAMPLE, findings)
-        gaps = np.where(is_settled, 0.0, np.nan)[:, None, None]  # a sum with NaN is NaN
+        gaps = np.where(is_settled, 0.0, np.nan)[:, None, None]  # added, NaN makes a matrix NaN
         return StateMatrices(matrices.next_states, matrices.a + gaps, matrices.b + gaps, matrices.c + gaps)
 
     def require_no_other_uncertainty(self) -> None:
@@ -142,6 +141,11 @@ class LoopFamily:
                     "has a loop that differs between draws with the same numbers, as with a sensor's jitter, so that "
                     "its worst case has no bound; `loop_margins` has its margins over the draws",
                 )
+
+
+def stack_loops(loops: Sequence[StateMatrices]) -> StateMatrices:
+    """The matrices of several single loops, stacked along a new first dimension."""
+    return StateMatrices(*(np.stack(parts) for parts in zip(*loops, strict=True)))
 
 
 def zero_pattern(loop: StateMatrices) -> bytes:
@@ -165,6 +169,11 @@ class BrokenFamily:
         self.state_indices = state_indices
         self.places = list(places)
         self.sides = self._influential_sides()
+
+    @property
+    def sample_time(self) -> float:
+        """T_s [s]."""
+        return self.family.resting.study.config.loop.sample_time
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -208,7 +217,9 @@ class BrokenFamily:
         b = matrices.b[:, states][:, :, places]
         c = matrices.c[:, places][:, :, states]
         zeros = np.zeros((len(a), len(places), len(places)))
-        return np.concatenate([np.concatenate([a, b], axis=2), np.concatenate([c, zeros], axis=2)], axis=1)
+        upper_rows = np.concatenate([a, b], axis=2)
+        lower_rows = np.concatenate([c, zeros], axis=2)
+        return np.concatenate([upper_rows, lower_rows], axis=1)
 
     def _influential_sides(self) -> list[int]:
         """Indices of the sides of the box that change this loop, found by moving each number from random points."""

@@ -16,7 +16,8 @@ from dssc_jax.analyses.loop_margins.multiloop import (
     joint_margins,
     joint_places,
 )
-from dssc_jax.analyses.worst_loop.cells import UNBOUNDED, CoverBounds, cover_box
+from dssc_jax.analyses.worst_loop.box import grown_box
+from dssc_jax.analyses.worst_loop.cells import GAP, UNBOUNDED, CoverBounds, cover_box
 from dssc_jax.analyses.worst_loop.family import BrokenFamily, Evaluate, LoopFamily, RemainingPoints, with_all_states
 from dssc_jax.analyses.worst_loop.readouts import joint_readout
 from dssc_jax.analyses.worst_loop.search import WorstPoint, spectral_radii, worst_values
@@ -114,48 +115,38 @@ def joint_mu_bound(
         cells: Largest number of cells.
         budget: Number of points that may still be evaluated.
     """
-    ones = np.ones(sides)  # the box is [-1, 1]^n
-    return cover_box(evaluate, (-ones, ones), np.array([goal]), cells, budget, joint_readout(channels))
+    return cover_box(evaluate, grown_box(sides, 1.0), np.array([goal]), cells, budget, joint_readout(channels))
 
 
 def joint_case(
-    broken_family: BrokenFamily,
-    channels: tuple[str, ...],
-    drawn_loops: np.ndarray,
-    sample_time: float,
-    gap: float,
-    cells: int,
-    points: int,
+    broken: BrokenFamily, channels: tuple[str, ...], drawn_loops: np.ndarray, cells: int, points: int
 ) -> JointCase:
     """Find the worst disk margin of all commands at once: of the draws, of a search, and a bound for the whole box.
 
     Args:
-        broken_family: The loop over the box, broken at these commands.
+        broken: The loop over the box, broken at the commands.
         channels: Names of the channels.
         drawn_loops: [[A, B], [C, 0]] of the draws, shape (n, states + channels, states + channels).
-        sample_time: T_s [s].
-        gap: Ratio of bound and value found at which the search for a better bound ends.
         cells: Largest number of cells.
         points: Largest number of points to linearise; a third of them is for the search.
     """
-    sides = len(broken_family.sides)
+    sides = len(broken.sides)
     count = len(channels)
-    evaluate = broken_family.at
-    budget = broken_family.family.allowance(points)
-    search_budget = broken_family.family.allowance(points // 3)
-    drawn = joint_disk_margins(drawn_loops, count, sample_time).attained
-    worst = worst_joint_margin(evaluate, sides, count, sample_time, search_budget)
-    at_worst = joint_disk_margins(evaluate(worst.point[None]), count, sample_time)
+    budget = broken.family.allowance(points)
+    search_budget = broken.family.allowance(points // 3)
+    drawn = joint_disk_margins(drawn_loops, count, broken.sample_time).attained
+    worst = worst_joint_margin(broken.at, sides, count, broken.sample_time, search_budget)
+    at_worst = joint_disk_margins(broken.at(worst.point[None]), count, broken.sample_time)
     covered = CoverBounds(np.array([UNBOUNDED]), cells=0)
     if worst.value > 0.0:  # an unstable loop has no bound
-        covered = joint_mu_bound(evaluate, sides, count, gap / worst.value, cells, budget)
+        covered = joint_mu_bound(broken.at, sides, count, GAP / worst.value, cells, budget)
     (mu,) = covered.gains
     return JointCase(
         channels=channels,
-        names=broken_family.names,
+        names=broken.names,
         drawn=float(drawn.min()),
         found=worst.value,
-        numbers=broken_family.numbers(worst.point),
+        numbers=broken.numbers(worst.point),
         frequency=float(at_worst.frequency[0]),
         factors=at_worst.factors[0],
         bounded=float(1.0 / mu if covered.stable else np.nan),
@@ -177,12 +168,7 @@ def seen_joint_places(study: Study, family: LoopFamily, drawn: StateMatrices) ->
 
 
 def multiloop_case(
-    study: Study,
-    family: LoopFamily,
-    drawn: StateMatrices,
-    gap: float,
-    cells: int,
-    remaining_points: RemainingPoints,
+    study: Study, family: LoopFamily, drawn: StateMatrices, cells: int, remaining_points: RemainingPoints
 ) -> JointCase | None:
     """Find the worst disk margin of all commands at once; None if fewer than two have an effect.
 
@@ -190,7 +176,6 @@ def multiloop_case(
         study: The study.
         family: The whole loop over the box.
         drawn: The loops of the draws that have an operating point.
-        gap: Ratio of bound and value found at which the search for a better bound ends.
         cells: Largest number of cells.
         remaining_points: Number of points that may still be linearised.
     """
@@ -207,7 +192,6 @@ def multiloop_case(
 
     def search(broken: BrokenFamily) -> JointCase:
         """The worst case of all commands at once, with the points that are left."""
-        drawn_loops = broken.break_loops(drawn)
-        return joint_case(broken, channels, drawn_loops, study.config.loop.sample_time, gap, cells, remaining_points())
+        return joint_case(broken, channels, broken.break_loops(drawn), cells, remaining_points())
 
     return with_all_states(BrokenFamily(family, joint.states, joint.points.tolist()), known_states, search)

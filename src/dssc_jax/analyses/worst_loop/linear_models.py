@@ -1,6 +1,7 @@
 """The linearised loop on parts of the box as a linear function of its numbers, with a bound of the deviations."""
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -77,7 +78,7 @@ class LinearModels:
             highs: Upper corner of each part, shape (n, sides).
         """
         keys = [low.tobytes() + high.tobytes() for low, high in zip(lows, highs, strict=True)]
-        new_parts = {key: index for index, key in enumerate(keys) if key not in self.models}
+        new_parts = {key: index for index, key in enumerate(keys) if key not in self.models}  # each once
         if new_parts:
             indices = list(new_parts.values())
             unit_points = measurement_points(lows.shape[1])
@@ -111,6 +112,16 @@ def linear_model(points: np.ndarray, matrices: np.ndarray, channels: int) -> Lin
     return LinearModel(centre, slopes, WIDENED * deviation, bends)
 
 
+def stack_models(models: Sequence[LinearModel]) -> LinearModel:
+    """The fields of n linear models, each stacked along a new first dimension."""
+    return LinearModel(
+        centre=np.stack([model.centre for model in models]),
+        slopes=np.stack([model.slopes for model in models]),
+        deviation=np.stack([model.deviation for model in models]),
+        bends=np.stack([model.bends for model in models]),
+    )
+
+
 def to_modes(matrices: np.ndarray, channels: int) -> np.ndarray:
     """Matrices [[A, B], [C, 0]] with the modes of the first A as states, shape (n, m, m) both.
 
@@ -121,7 +132,7 @@ def to_modes(matrices: np.ndarray, channels: int) -> np.ndarray:
     a = matrices[0, :-channels, :-channels]
     if not np.all(np.isfinite(a)):
         return result
-    modes = np.linalg.eig(a)[1]
+    _, modes = np.linalg.eig(a)
     if np.linalg.cond(modes) > MOST_PARALLEL:
         modes = schur(a, output="complex")[1]
     result[:, :-channels] = np.linalg.solve(modes, result[:, :-channels])

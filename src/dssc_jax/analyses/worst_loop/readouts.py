@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.loop_margins.structured import balancing_scales, best_scales, scaled_norms
+from dssc_jax.analyses.loop_margins.structured import balancing_log_scales, best_log_scales, scaled_norms
 
 DIRECTIONS = 64  # directions in which the extent of a polygon is computed
 VERTICES = 4  # coordinates of which all combinations of ends are tried; for the others norms are added
@@ -101,7 +101,7 @@ def joint_scales(responses: np.ndarray) -> np.ndarray:
         responses: G, shape (n, channels, channels).
     """
     is_finite = np.all(np.isfinite(responses), axis=(1, 2))
-    return np.exp(balancing_scales(np.where(is_finite[:, None, None], responses, 0.0)))
+    return np.exp(balancing_log_scales(np.where(is_finite[:, None, None], responses, 0.0)))
 
 
 def joint_gains(enclosure: Enclosure, goals: np.ndarray) -> np.ndarray:
@@ -121,12 +121,12 @@ def joint_gains(enclosure: Enclosure, goals: np.ndarray) -> np.ndarray:
     rows = np.flatnonzero(np.all(np.isfinite(sizes), axis=(1, 2)))
     if not rows.size:
         return bounds[:, None]
-    balancing_logs = balancing_scales(sizes[rows])
+    balancing_logs = balancing_log_scales(sizes[rows])
     bounds[rows] = scaled_bounds(middle[rows], enclosure.linear[rows], enclosure.remainder[rows], balancing_logs)
     middle_norms, _ = scaled_norms(middle[rows], balancing_logs)
     above = rows[middle_norms > goals[0]]
     if above.size:
-        best_logs = best_scales(middle[above])
+        best_logs = best_log_scales(middle[above])
         sharper = scaled_bounds(middle[above], enclosure.linear[above], enclosure.remainder[above], best_logs)
         bounds[above] = np.minimum(bounds[above], sharper)
     return (1.0 + ROUNDING) * bounds[:, None]

@@ -171,7 +171,9 @@ def worst_values(
     return [WorstPoint(float(value), point) for value, point in zip(worst, worst_points, strict=True)]
 
 
-def nearest_instability(evaluate: Evaluate, sides: int, most: float, remaining_points: RemainingPoints) -> Instability:
+def nearest_instability(
+    evaluate: Evaluate, sides: int, most_growth: float, remaining_points: RemainingPoints
+) -> Instability:
     """Search for the least growth of the box that reaches an unstable loop.
 
     The growth is found along many directions from the middle, and the best direction is improved by coordinate steps.
@@ -179,13 +181,13 @@ def nearest_instability(evaluate: Evaluate, sides: int, most: float, remaining_p
     Args:
         evaluate: The loop at points of the grown box.
         sides: Number of coordinates.
-        most: Largest growth to try.
+        most_growth: Largest growth to try.
         remaining_points: Number of points that may still be evaluated.
     """
     points_per_direction = GROWTH_STEPS + 1 + BISECTIONS
     without_centre = start_points(sides)[1:]
     directions = to_faces(without_centre[: max(1, remaining_points() // points_per_direction)])
-    growths = growths_to_instability(evaluate, directions, most)
+    growths = growths_to_instability(evaluate, directions, most_growth)
     best = int(np.argmin(growths))
     growth = growths[best]
     direction = directions[best]
@@ -195,7 +197,7 @@ def nearest_instability(evaluate: Evaluate, sides: int, most: float, remaining_p
         trials = to_faces(trials[np.any(trials != 0.0, axis=1)])  # the middle has no direction
         if remaining_points() < len(trials) * points_per_direction:
             break
-        growths = growths_to_instability(evaluate, trials, most)
+        growths = growths_to_instability(evaluate, trials, most_growth)
         best = int(np.argmin(growths))
         if growths[best] < growth * (1.0 - LEAST_SHRINKAGE):
             growth = growths[best]
@@ -210,7 +212,7 @@ def to_faces(directions: np.ndarray) -> np.ndarray:
     return directions / np.abs(directions).max(axis=1, keepdims=True)
 
 
-def growths_to_instability(evaluate: Evaluate, directions: np.ndarray, most: float) -> np.ndarray:
+def growths_to_instability(evaluate: Evaluate, directions: np.ndarray, most_growth: float) -> np.ndarray:
     """The growth of the box at which the loop becomes unstable along each direction, shape (n,).
 
     Infinite where no tested loop is unstable, 0 where the loop in the middle of the box is. Stability is tested on a
@@ -219,10 +221,10 @@ def growths_to_instability(evaluate: Evaluate, directions: np.ndarray, most: flo
     Args:
         evaluate: The loop at points of the grown box.
         directions: Points on the faces of the box, shape (n, sides).
-        most: Largest growth to try.
+        most_growth: Largest growth to try.
     """
     sides = directions.shape[1]
-    grid = np.linspace(0.0, most, GROWTH_STEPS + 1)
+    grid = np.linspace(0.0, most_growth, GROWTH_STEPS + 1)
     points = (grid[:, None, None] * directions).reshape(-1, sides)
     is_unstable = spectral_radii(evaluate(points)).reshape(GROWTH_STEPS + 1, -1) >= 1.0
     first = np.argmax(is_unstable, axis=0)

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.worst_loop.box import admissible_growths
-from dssc_jax.analyses.worst_loop.cells import UNBOUNDED, CoverBounds, cover_box
+from dssc_jax.analyses.worst_loop.box import admissible_growths, grown_box
+from dssc_jax.analyses.worst_loop.cells import GAP, UNBOUNDED, CoverBounds, cover_box
 from dssc_jax.analyses.worst_loop.dataset import LoopCase
 from dssc_jax.analyses.worst_loop.family import BrokenFamily, RemainingPoints
 from dssc_jax.analyses.worst_loop.readouts import GAINS
@@ -26,7 +26,6 @@ from dssc_jax.engine.linearisation.response import common_grid
 from dssc_jax.study import Study
 from dssc_jax.study.known_draws import study_of_draw
 
-GAP = 1.05  # ratio of a bound to the value found, at which the search for a better bound ends
 SHARES = (0.95, 0.85, 0.7, 0.5, 0.3, 0.15)
 """The growths for which a proof of stability is tried, relative to the smallest one with an unstable loop."""
 SEARCHED = 0.25  # share of the points for each of the two searches
@@ -48,10 +47,22 @@ class GainBounds(NamedTuple):
     growth: float
 
 
+class WorstFound(NamedTuple):
+    """What the two searches found of one broken loop.
+
+    Args:
+        margins: The worst value of each of the :data:`MARGINS` within the box.
+        instability: The unstable loop nearest to the middle of the box.
+        growable: Largest growth of the box in which an unstable loop was searched.
+    """
+
+    margins: list[WorstPoint]
+    instability: Instability
+    growable: float
+
+
 def loop_case(study: Study, broken: BrokenFamily, drawn: StateMatrices, cells: int, points: int) -> LoopCase:
     """Find the worst case of one broken loop: of the draws, of two searches, and bounds for the whole box.
-
-    The first search finds the worst margins in the box, the second the nearest instability, in and beyond it.
 
     Args:
         study: The study.
@@ -60,34 +71,45 @@ def loop_case(study: Study, broken: BrokenFamily, drawn: StateMatrices, cells: i
         cells: Largest number of cells.
         points: Largest number of points to linearise.
     """
-    family = broken.family
-    remaining_points = family.allowance(points)
-    search_points = round(SEARCHED * points)
-    sample_time = study.config.loop.sample_time
+    remaining_points = broken.family.allowance(points)
     drawn_loops = broken.break_loops(drawn)
-    drawn_poles = np.linalg.eigvals(drawn_loops[:, :-1, :-1])
-    common_angles = common_grid(drawn_poles)
-    drawn_margins = margins_at(drawn_loops, common_angles, sample_time)
+    common_angles = common_grid(np.linalg.eigvals(drawn_loops[:, :-1, :-1]))
+    drawn_margins = margins_at(drawn_loops, common_angles, broken.sample_time)
     worst_draws = np.argmax(badness(drawn_margins), axis=0)  # one for each margin
-    worst_cases = worst_margins(
-        broken.at, len(broken.sides), common_angles, sample_time, family.allowance(search_points)
-    )
-    growable, instability = defined_instability(study, broken, lambda: family.allowance(search_points))
-    instability = nearer_instability(instability, worst_cases[MARGINS.index("disk")])
-    bounds = find_bounds(broken, worst_cases, instability, growable, sample_time, cells, remaining_points)
+    found = search_box(study, broken, common_angles, round(SEARCHED * points))
+    bounds = find_bounds(broken, found, cells, remaining_points)
+    growth_found, unstable_point = found.instability
     return LoopCase(
         names=broken.names,
         drawn=drawn_margins[worst_draws, range(len(MARGINS))],
-        found=np.array([worst.value for worst in worst_cases]),
-        numbers=[broken.numbers(worst.point) for worst in worst_cases],
-        bounded=bounded_margins(bounds.covered.gains, sample_time),
-        growth_found=instability.growth,
-        unstable=broken.numbers(instability.point),
-        has_operating_point=not np.isfinite(instability.growth) or broken.has_operating_point(instability.point),
+        found=np.array([worst.value for worst in found.margins]),
+        numbers=[broken.numbers(worst.point) for worst in found.margins],
+        bounded=bounded_margins(bounds.covered.gains, broken.sample_time),
+        growth_found=growth_found,
+        unstable=broken.numbers(unstable_point),
+        has_operating_point=not np.isfinite(growth_found) or broken.has_operating_point(unstable_point),
         growth_bounded=bounds.growth,
-        growable=growable,
+        growable=found.growable,
         cells=bounds.covered.cells,
     )
+
+
+def search_box(study: Study, broken: BrokenFamily, common_angles: np.ndarray, points: int) -> WorstFound:
+    """Search the box for the worst margins, and the box and its growths for the nearest unstable loop.
+
+    Args:
+        study: The study.
+        broken: The broken loop over the box.
+        common_angles: omega T_s at which every loop is evaluated.
+        points: Largest number of points to linearise in each of the two searches.
+    """
+    family = broken.family
+    worst_points = worst_margins(
+        broken.at, len(broken.sides), common_angles, broken.sample_time, family.allowance(points)
+    )
+    growable, instability = defined_instability(study, broken, lambda: family.allowance(points))
+    worst_disk = worst_points[MARGINS.index("disk")]
+    return WorstFound(worst_points, nearer_instability(instability, worst_disk), growable)
 
 
 def nearer_instability(instability: Instability, worst_disk: WorstPoint) -> Instability:
@@ -139,49 +161,33 @@ def defined_instability(
     raise AssertionError("the box is always one of its growths")
 
 
-def find_bounds(
-    broken: BrokenFamily,
-    worst_cases: list[WorstPoint],
-    instability: Instability,
-    growable: float,
-    sample_time: float,
-    cells: int,
-    remaining_points: RemainingPoints,
-) -> GainBounds:
+def find_bounds(broken: BrokenFamily, found: WorstFound, cells: int, remaining_points: RemainingPoints) -> GainBounds:
     """Bound the gains of one broken loop on the box, and the growth of the box up to which the loop is stable.
 
     Args:
         broken: The broken loop over the box.
-        worst_cases: The worst values found of the :data:`MARGINS`, which are the goals of the bounds.
-        instability: The nearest unstable loop found.
-        growable: Largest growth that was searched.
-        sample_time: T_s [s].
+        found: What the searches found, which sets the goals of the bounds.
         cells: Largest number of cells.
         remaining_points: Number of points that may still be linearised.
     """
     sides = len(broken.sides)
-    covered = CoverBounds(np.full(len(GAINS), UNBOUNDED), cells=0)
+    no_bounds = CoverBounds(np.full(len(GAINS), UNBOUNDED), cells=0)
     (middle_radius,) = spectral_radii(broken.at(np.zeros((1, sides))))
     if middle_radius >= 1.0:
-        return GainBounds(covered, growth=0.0)
-    ones = np.ones(sides)
+        return GainBounds(no_bounds, growth=0.0)
+    covered = no_bounds
     growth = 0.0
-    if instability.growth > 1.0:  # no loop of the box was found to be unstable
+    if found.instability.growth > 1.0:  # no loop of the box was found to be unstable
+        goals = GAP * found_gains(found.margins, broken.sample_time)
         budget = broken.family.allowance(2 * remaining_points() // TRIALS)
-        covered = cover_box(broken.at, (-ones, ones), GAP * found_gains(worst_cases, sample_time), cells, budget)
+        covered = cover_box(broken.at, grown_box(sides, 1.0), goals, cells, budget)
         growth = 1.0 if covered.stable else 0.0
     cell_count = covered.cells
-    farthest = min(instability.growth, growable)
-    shares = SHARES
-    if instability.growth > growable:  # the largest growth itself may be stable
-        shares = (1.0, *SHARES)
-    for share in shares:
-        trial_growth = share * farthest
+    for trial_growth in trial_growths(found):
         if trial_growth <= growth:
             break
-        ends = (-trial_growth * ones, trial_growth * ones)
         budget = broken.family.allowance(remaining_points() // TRIALS)
-        trial = cover_box(broken.at, ends, LOOSEST, cells // 4, budget)
+        trial = cover_box(broken.at, grown_box(sides, trial_growth), LOOSEST, cells // 4, budget)
         cell_count += trial.cells
         if trial.stable:
             growth = trial_growth
@@ -189,14 +195,23 @@ def find_bounds(
     return GainBounds(covered._replace(cells=cell_count), growth)
 
 
-def found_gains(worst_cases: list[WorstPoint], sample_time: float) -> np.ndarray:
+def trial_growths(found: WorstFound) -> list[float]:
+    """Growths of the box for which a proof of stability is tried, the largest first."""
+    largest = min(found.instability.growth, found.growable)
+    shares = SHARES
+    if found.instability.growth > found.growable:  # the largest growth itself may be stable
+        shares = (1.0, *SHARES)
+    return [share * largest for share in shares]
+
+
+def found_gains(worst_points: list[WorstPoint], sample_time: float) -> np.ndarray:
     """The :data:`GAINS` that the worst margins found correspond to, shape (gains,): no bound can be lower.
 
     Args:
-        worst_cases: The worst value found of each of the :data:`MARGINS`.
+        worst_points: The worst value found of each of the :data:`MARGINS`, and where it was found.
         sample_time: T_s [s].
     """
-    worst = {name: case.value for name, case in zip(MARGINS, worst_cases, strict=True)}
+    worst = {name: found.value for name, found in zip(MARGINS, worst_points, strict=True)}
     delay_gain = sample_time / worst["delay"] if np.isfinite(worst["delay"]) else FREE_DELAY_GAIN
     gains = {
         "sensitivity_peak": worst["sensitivity_peak"],

@@ -14,7 +14,7 @@ from dssc_jax.analyses.worst_loop.family import BrokenFamily, LoopFamily, with_a
 from dssc_jax.analyses.worst_loop.joint import multiloop_case, seen_joint_places
 from dssc_jax.analyses.worst_loop.result import WorstLoop
 from dssc_jax.analyses.worst_loop.search import start_points
-from dssc_jax.analyses.worst_loop.single_loop import GAP, loop_case
+from dssc_jax.analyses.worst_loop.single_loop import loop_case
 from dssc_jax.closed_loop.break_points import BreakPoint, place_names
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
@@ -76,45 +76,45 @@ def worst_loop(
     settled_findings = findings[operating.reached]
     require_one_linear_loop(study, places, settled_findings)
     _, states, break_points = operating.matrices.b.shape
-    most = points or max(1, DERIVATIVES // (states + break_points))
+    most_points = points or max(1, DERIVATIVES // (states + break_points))
 
     def advance(linearised_points: int) -> None:
         """Report the number of points linearised so far."""
         if progress:
-            progress(min(linearised_points, most), most)
+            progress(min(linearised_points, most_points), most_points)
 
     family = LoopFamily(resting, box, settled_findings[0], advance)
     family.require_no_other_uncertainty()
-    linearise_widely(study, family, max(1, most // 4))
+    linearise_widely(study, family, max(1, most_points // 4))
     drawn = StateMatrices(*(part[operating.reached] for part in operating.matrices))
     broken_loops = loops_broken_at(study, names, family, drawn)
     has_multiloop = not broken_at and seen_joint_places(study, family, drawn) is not None
-    cases = loop_cases(study, broken_loops, drawn, cells, most, other_loops=int(has_multiloop))
+    cases = loop_cases(study, broken_loops, drawn, cells, most_points, other_loops=int(has_multiloop))
     multiloop = None
     if has_multiloop:
-        multiloop = multiloop_case(study, family, drawn, GAP, cells, partial(family.remaining_points, most))
+        multiloop = multiloop_case(study, family, drawn, cells, partial(family.remaining_points, most_points))
     return WorstLoop(
         study=study,
         dataset=worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop)),
         sigma=sigma,
         taken=(*substitute_notes(places), *operating.taken),
         points=len(family.cache),
-        most_points=most,
+        most_points=most_points,
         seconds=time.perf_counter() - began,
     )
 
 
-def linearise_widely(study: Study, family: LoopFamily, most: int) -> None:
+def linearise_widely(study: Study, family: LoopFamily, most_points: int) -> None:
     """Linearise the loop at points all over the box and its largest growth, so that all states with an effect are seen.
 
     Args:
         study: The study.
         family: The whole loop over the box, whose cache takes the points.
-        most: Largest number of points.
+        most_points: Largest number of points.
     """
     points = start_points(len(family.box.sides))
     largest_growth, *_ = admissible_growths(study, family.box)
-    family.at(np.concatenate([points, largest_growth * points])[:most])
+    family.at(np.concatenate([points, largest_growth * points])[:most_points])
 
 
 def loop_cases(
@@ -122,7 +122,7 @@ def loop_cases(
     broken_loops: dict[str, BrokenFamily],
     drawn: StateMatrices,
     cells: int,
-    most: int,
+    most_points: int,
     other_loops: int,
 ) -> dict[str, LoopCase]:
     """Find the worst case of each broken loop, by the name of its break point.
@@ -134,20 +134,20 @@ def loop_cases(
         broken_loops: The loop over the box, broken at each break point, by name.
         drawn: The loops of the draws that have an operating point.
         cells: Largest number of cells for each loop.
-        most: Largest number of points to linearise for all loops together.
+        most_points: Largest number of points to linearise for all loops together.
         other_loops: Number of searches that follow, and need a share of the points, too.
     """
     remaining_loops = len(broken_loops) + other_loops
     cases = {}
     for name, broken in broken_loops.items():
-        share = broken.family.remaining_points(most) // remaining_loops
-        cases[name] = case_with_all_states(study, broken, drawn, cells, share, most)
+        share = broken.family.remaining_points(most_points) // remaining_loops
+        cases[name] = case_with_all_states(study, broken, drawn, cells, share, most_points)
         remaining_loops -= 1
     return cases
 
 
 def case_with_all_states(
-    study: Study, broken: BrokenFamily, drawn: StateMatrices, cells: int, share: int, most: int
+    study: Study, broken: BrokenFamily, drawn: StateMatrices, cells: int, share: int, most_points: int
 ) -> LoopCase:
     """Find the worst case of one broken loop, with every state that has an effect at a point of the searches.
 
@@ -157,7 +157,7 @@ def case_with_all_states(
         drawn: The loops of the draws that have an operating point.
         cells: Largest number of cells.
         share: Largest number of points to linearise in one search.
-        most: Largest number of points to linearise for all loops together.
+        most_points: Largest number of points to linearise for all loops together.
     """
     family = broken.family
     (place,) = broken.places
@@ -168,7 +168,7 @@ def case_with_all_states(
 
     def search(loop: BrokenFamily) -> LoopCase:
         """The worst case of the loop with some states."""
-        return loop_case(study, loop, drawn, cells, min(share, family.remaining_points(most)))
+        return loop_case(study, loop, drawn, cells, min(share, family.remaining_points(most_points)))
 
     return with_all_states(broken, known_states, search)
 

@@ -60,8 +60,9 @@ class Points(NamedTuple):
 
 def join_points(parts: list[Points]) -> Points:
     """The points of several sets, one set after the other."""
-    names = parts[0].numbers
-    numbers = {name: np.concatenate([part.numbers[name] for part in parts]) for name in names}
+    numbers = {}
+    for name in parts[0].numbers:
+        numbers[name] = np.concatenate([part.numbers[name] for part in parts])
     return Points(np.concatenate([part.winds for part in parts]), numbers)
 
 
@@ -140,7 +141,7 @@ class Ascent:
 
     def __post_init__(self) -> None:
         """Find the ranges in which the search can move uncertain numbers."""
-        self.ranges = number_ranges(self.flights.flying.laws, self.flights.numbers)
+        self.ranges = number_ranges(self.flights.compiled_study.laws, self.flights.numbers)
 
     def run(self) -> dict[str, WorstFlight]:
         """Search for the worst flight of each signal, by name of the signal."""
@@ -192,8 +193,8 @@ class Ascent:
             winds: The winds [m/s], shape (n, size, 3).
         """
         count = len(winds)
-        laws = self.flights.flying.laws
-        middle = medians(self.flights.flying)
+        laws = self.flights.compiled_study.laws
+        middle = medians(self.flights.compiled_study)
         median_points = Points(winds, {name: np.full(count, middle[name]) for name in self.flights.numbers})
         if not self.flights.numbers:
             return median_points
@@ -216,20 +217,23 @@ class Ascent:
         that can happen.
         """
         points = climbs.points
-        best = np.array(climbs.heights)
-        active = np.flatnonzero(np.isfinite(best))
+        heights = np.array(climbs.heights)
+        active = np.flatnonzero(np.isfinite(heights))  # the climbs that go on
         for finished_rounds in range(self.rounds):
             self.report(finished_rounds + 1)
             if not active.size:
                 break
-            trials, trial_heights = self.best_trials([climbs.signals[place] for place in active], points.select(active))
-            better = trial_heights > best[active]
-            points = points.replace(active[better], trials.select(np.flatnonzero(better)))
-            gains = (trial_heights - best[active]) / np.maximum(np.abs(best[active]), np.finfo(float).tiny)
-            best[active[better]] = trial_heights[better]
-            active = active[(gains > LEAST_GAIN) & np.isfinite(best[active])]
+            active_signals = [climbs.signals[place] for place in active]
+            trials, trial_heights = self.best_trials(active_signals, points.select(active))
+            gains = trial_heights - heights[active]
+            relative_gains = gains / np.maximum(np.abs(heights[active]), np.finfo(float).tiny)
+            is_higher = trial_heights > heights[active]
+            risen = active[is_higher]
+            points = points.replace(risen, trials.select(np.flatnonzero(is_higher)))
+            heights[risen] = trial_heights[is_higher]
+            active = active[(relative_gains > LEAST_GAIN) & np.isfinite(heights[active])]
         self.report(self.rounds + 1 if active.size else self.rounds)  # an early end of all climbs leaves one round open
-        return Climbs(climbs.signals, points, best)
+        return Climbs(climbs.signals, points, heights)
 
     def best_trials(self, signals: list[str], points: Points) -> tuple[Points, np.ndarray]:
         """Fly the trial points of a step from n points, and choose the highest for each.
@@ -242,15 +246,15 @@ class Ascent:
             The n best trial points, and the height of the signal at each, shape (n,).
         """
         count = len(signals)
-        trials = self.trials(signals, points)
-        all_trials = join_points(trials)
-        heights = self.heights(all_trials)
-        by_trial = np.empty((len(trials), count))
-        for i, signal in enumerate(signals):
-            by_trial[:, i] = heights[signal].reshape(len(trials), count)[:, i]
-        highest = np.argmax(by_trial, axis=0)
-        rows = np.arange(count)  # of a set of trials, which lie one set after the other
-        return all_trials.select(highest * count + rows), by_trial[highest, rows]
+        trial_sets = self.trials(signals, points)
+        trials = join_points(trial_sets)  # one set of n points after the other
+        heights = self.heights(trials)
+        heights_by_set = np.empty((len(trial_sets), count))
+        for row, signal in enumerate(signals):
+            heights_by_set[:, row] = heights[signal].reshape(len(trial_sets), count)[:, row]
+        best_set = np.argmax(heights_by_set, axis=0)
+        rows = np.arange(count)
+        return trials.select(best_set * count + rows), heights_by_set[best_set, rows]
 
     def trials(self, signals: list[str], points: Points) -> list[Points]:
         """Trial points of a step: for each point, several that lie towards the extreme of its signal's gradient.

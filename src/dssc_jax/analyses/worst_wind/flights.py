@@ -64,7 +64,10 @@ class WindGrid(NamedTuple):
     @property
     def names(self) -> list[str]:
         """Dotted names of the numbers of a wind, component by component: ``wind.x.0``, ``wind.x.1``, ..."""
-        return [f"wind.{axis}.{place}" for axis in AXES for place in range(self.size)]
+        names = []
+        for axis in AXES:
+            names += [f"wind.{axis}.{place}" for place in range(self.size)]
+        return names
 
     def table(self, columns: Sequence[Sequence[object]]) -> TomlTable:
         """The table ``[wind]`` of a study that flies in a wind of this grid.
@@ -114,7 +117,7 @@ class WindFlights:
         study: The study.
         grid: Times at which the winds have vectors.
         lanes: Largest number of flights in a batch.
-        flying: The study that is compiled, whose wind is a table of free numbers.
+        compiled_study: The study that is compiled, whose wind is a table of free numbers.
 
     Raises:
         ConfigError: The plant does not fly, or a number of the wind is uncertain.
@@ -123,15 +126,17 @@ class WindFlights:
     study: Study
     grid: WindGrid
     lanes: int = BLOCK
-    flying: Study = field(init=False)
+    compiled_study: Study = field(init=False)
 
     def __post_init__(self) -> None:
         """Compile the flights without and with derivatives by every number of the wind and of the vehicle."""
-        self.flying = flying_study(self.study, self.grid)
-        self.signals = {measure.name: Signal.of(measure) for measure in self.flying.measures}
-        self.numbers = [name for name in self.flying.laws if not name.startswith("wind.")]
-        self._plain = Evaluator(self.flying, {}, self.lanes)
-        self._with_gradients = GradientEvaluator(self.flying, {}, self.lanes, names=[*self.grid.names, *self.numbers])
+        self.compiled_study = flying_study(self.study, self.grid)
+        self.signals = {measure.name: Signal.of(measure) for measure in self.compiled_study.measures}
+        self.numbers = [name for name in self.compiled_study.laws if not name.startswith("wind.")]
+        self._plain = Evaluator(self.compiled_study, {}, self.lanes)
+        self._with_gradients = GradientEvaluator(
+            self.compiled_study, {}, self.lanes, names=[*self.grid.names, *self.numbers]
+        )
 
     def __call__(self, winds: np.ndarray, numbers: Mapping[str, np.ndarray]) -> Arrays:
         """Fly once in each wind.
@@ -250,20 +255,13 @@ def fly_winds(
         [0.0, 0.317]
     """
     fixed_numbers = dict(numbers or {})
-    shape = np.shape(winds)
-    more_knots = BEYOND if smooth else 0
-    if len(shape) != 3 or shape[2] != len(AXES) or shape[1] <= more_knots:
-        raise ConfigError("winds", f"must have the shape (flights, vectors, 3), got {shape}")
-    count, vectors, _ = shape
-    grid = WindGrid.of(study, vectors - more_knots, smooth)
-    if grid.size != vectors:
-        rule = f"must divide the {study.loop.steps} samples of the flight into parts of whole samples"
-        raise ConfigError("winds", f"{rule}; got {vectors} vectors, of which {grid.size} would do")
+    grid = grid_of_winds(study, np.shape(winds), smooth)
+    count = len(winds)
     flights = WindFlights(study, grid, min(BLOCK, count))
     for name in fixed_numbers:
         if name not in flights.numbers:
             raise ConfigError(name, f"is no uncertain number of this study; {nearest(name, flights.numbers)}")
-    values = medians(flights.flying) | fixed_numbers
+    values = medians(flights.compiled_study) | fixed_numbers
     columns = {name: np.broadcast_to(values[name], (count,)) for name in flights.numbers}
     results = flights(np.asarray(winds, float), columns)
     variables = {}
@@ -272,3 +270,25 @@ def fly_winds(
     outcome_meaning = "outcome code, above 0 if the flight ended early"
     variables["outcome"] = ("flight", results["outcome"], {"long_name": outcome_meaning})
     return xr.Dataset(variables, attrs={"title": study.name})
+
+
+def grid_of_winds(study: Study, shape: tuple[int, ...], smooth: bool) -> WindGrid:
+    """The grid on which winds of a shape lie.
+
+    Args:
+        study: The study.
+        shape: Shape of the winds.
+        smooth: Whether the vectors are the knots of a spline.
+
+    Raises:
+        ConfigError: The shape is not (flights, vectors, 3), or the vectors do not divide the flight into whole samples.
+    """
+    more_knots = BEYOND if smooth else 0
+    if len(shape) != 3 or shape[2] != len(AXES) or shape[1] <= more_knots:
+        raise ConfigError("winds", f"must have the shape (flights, vectors, 3), got {shape}")
+    _, vectors, _ = shape
+    grid = WindGrid.of(study, vectors - more_knots, smooth)
+    if grid.size != vectors:
+        rule = f"must divide the {study.loop.steps} samples of the flight into parts of whole samples"
+        raise ConfigError("winds", f"{rule}; got {vectors} vectors, of which {grid.size} would do")
+    return grid
