@@ -225,7 +225,7 @@ def optimise(
         optimal_free = Free(*map(float, candidate(optimum.x)))
     meets_goal = float(shortfall(synthesise(bounds, optimal_free), bounds, goal)) <= 0.0  # NaN: it does not
     if not meets_goal:
-        raise ConfigError("goal", infeasible(bounds, optimal_free, goal))
+        raise ConfigError("goal", infeasibility_message(bounds, optimal_free, goal))
     return optimal_free
 
 
@@ -267,15 +267,15 @@ def shortfall(p: Parameters, bounds: Bounds, goal: DesignGoal) -> np.ndarray:
     return excess
 
 
-def infeasible(bounds: Bounds, nearest: Free, goal: DesignGoal) -> str:
+def infeasibility_message(bounds: Bounds, nearest_free: Free, goal: DesignGoal) -> str:
     """The message that no design meets the goal, with the guarantee and the sampling period of the nearest design.
 
     Args:
         bounds: The bounds.
-        nearest: Free parameters of the nearest design.
+        nearest_free: Free parameters of the nearest design.
         goal: The goal.
     """
-    p = synthesise(bounds, nearest)
+    p = synthesise(bounds, nearest_free)
     e = float(guarantee(p, bounds).e)
     period = float(practice(p, bounds).sample_time_origin)
     targets = []

@@ -22,7 +22,7 @@ GAIN_POINTS = 5
 """Values of k_p in this search."""
 
 
-class Spread(NamedTuple):
+class EigenvalueRange(NamedTuple):
     """Smallest (``low``) and largest (``high``) eigenvalue of a positive definite matrix."""
 
     low: Numeric
@@ -34,7 +34,7 @@ class Spread(NamedTuple):
         return self.high / self.low
 
 
-def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Spread:
+def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> EigenvalueRange:
     """Smallest and largest eigenvalue of P; the smallest is NaN unless P > 0, that is gamma k_p > 4 eps^2.
 
     The smallest is the determinant divided by the largest, a quotient in which no digits cancel.
@@ -43,7 +43,7 @@ def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Spread:
     root = ((p_11 - 1.0) ** 2 + 16.0 * eps**2) ** 0.5
     high = 0.5 * (p_11 + 1.0 + root)
     determinant = p_11 - 4.0 * eps**2
-    return Spread(ratio_where(determinant > 0.0, determinant, high), high)
+    return EigenvalueRange(ratio_where(determinant > 0.0, determinant, high), high)
 
 
 def norm_of_pb(eps: Numeric) -> Numeric:
@@ -51,14 +51,14 @@ def norm_of_pb(eps: Numeric) -> Numeric:
     return (1.0 + 4.0 * eps**2) ** 0.5
 
 
-class Alphas(NamedTuple):
+class AlphaBounds(NamedTuple):
     """Bounds rho_1 and rho_2 of |alpha_1| and |alpha_2|, by which disturbances enter Q (Appendix E)."""
 
     rho_1: Numeric
     rho_2: Numeric
 
 
-def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, e: Numeric) -> Alphas:
+def alpha_bounds(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, e: Numeric) -> AlphaBounds:
     """The bounds rho_1 and rho_2 at (sigma, e); the article omits k_p on the integral terms of rho_2.
 
     Args:
@@ -70,7 +70,7 @@ def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, 
     """
     beta_1_over_sigma = constants.kd1_bar * abs(e) + constants.kd2_bar * abs(sigma) + constants.kd3_bar
     beta_2_over_sigma = constants.k_sigma + bounds.k_max * (bounds.c_isigma * abs(sigma) + bounds.c_ie * abs(e))
-    return Alphas(beta_1_over_sigma / p.phi_b, beta_2_over_sigma / p.phi_b**2)
+    return AlphaBounds(beta_1_over_sigma / p.phi_b, beta_2_over_sigma / p.phi_b**2)
 
 
 def kappa_1(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
@@ -115,7 +115,7 @@ def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: N
     The matrix is affine in (alpha_1, alpha_2). So its smallest eigenvalue is concave, and is least at one of the four
     vertices of the rectangle.
     """
-    limit = alphas(p, bounds, derive(bounds, p.l0), sigma, e)
+    limit = alpha_bounds(p, bounds, derive(bounds, p.l0), sigma, e)
     gain = kappa_1(p, sigma, e)
     eigenvalues = [
         smallest_of_q(p, k_p, gain, sign_1 * limit.rho_1, sign_2 * limit.rho_2)

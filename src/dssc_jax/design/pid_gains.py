@@ -58,17 +58,26 @@ def pid(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
         raise ConfigError("plant", f"{rule}, with which this PID rule cannot cross there; {remedy}")
     # the integral part 1 + corner/s lags by atan(corner/omega) at the bandwidth, with the plant by 90 degrees or more
     lag = min(max(0.5 * math.pi + phase, math.atan(ratio)), MOST_LAG)
-    corner = omega * math.tan(lag) if acts_at_rest(plant, omega) else 0.0
-    required_lead = PHASE_MARGIN - math.pi - phase + math.atan(corner / omega)
+    corner = omega * math.tan(lag) if has_gain_at_rest(plant, omega) else 0.0
+    required_lead = lead_for_margin(phase, corner / omega)
     slowest_corner = min(SLOWEST, corner / omega)  # in bandwidths
-    lead_with_slowest = PHASE_MARGIN - math.pi - phase + math.atan(slowest_corner)
     most_required_lead = MOST_LEAD
-    if lead_with_slowest > MOST_LEAD:  # no integral reaches the full margin
+    if lead_for_margin(phase, slowest_corner) > MOST_LEAD:  # no integral reaches the full margin
         most_required_lead += PHASE_MARGIN - LEAST_MARGIN
     if required_lead > most_required_lead:
         raise lead_error(problem, omega, required_lead)
     lead = min(max(required_lead, 0.0), MOST_LEAD)
-    return gains_with_lead(response, omega, corner, lead) | limits(problem)
+    return gains_with_lead(response, omega, corner, lead) | command_limits(problem)
+
+
+def lead_for_margin(phase: float, corner: float) -> float:
+    """Phase lead [rad] that gives the phase margin at the bandwidth; negative if there is more than that margin.
+
+    Args:
+        phase: Phase of the plant at the bandwidth [rad].
+        corner: Corner frequency of the integral part, in bandwidths.
+    """
+    return PHASE_MARGIN - math.pi - phase + math.atan(corner)
 
 
 def lead_error(problem: DesignProblem, omega: float, required_lead: float) -> ConfigError:
@@ -79,7 +88,7 @@ def lead_error(problem: DesignProblem, omega: float, required_lead: float) -> Co
         omega: The bandwidth [rad/s].
         required_lead: The phase lead [rad].
     """
-    if falls_at_rest(problem.actuated_plant, omega):
+    if has_negative_gain_at_rest(problem.actuated_plant, omega):
         rule = "has a negative gain at rest, and the gains of 'pid' are at least 0"
         return ConfigError(f"{problem.study.source}: plant", f"{rule}; turn the command's sign, or ask for 'lqg'")
     degrees = math.degrees(required_lead)
@@ -119,14 +128,15 @@ def gains_with_lead(response: complex, omega: float, corner: float, lead: float)
     return table
 
 
-def limits(problem: DesignProblem) -> TomlTable:
+def command_limits(problem: DesignProblem) -> TomlTable:
     """The limits of the command, as fields of a controller; empty if the design has no limit.
 
     An actuator without a state that saturates earlier narrows the limits of the design.
     """
     if problem.limit is None:
         return {}
-    low, high = -problem.limit, problem.limit
+    low = -problem.limit
+    high = problem.limit
     for element, params in acting_elements(problem.study.table, problem.study.config):
         numbers = nominal_params(params)
         state = element.model.init(numbers)
@@ -152,7 +162,7 @@ def saturated_end(model: Unmodelled, params: Params, state: State, end: float) -
     return output_at_end if is_saturated else end
 
 
-def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
+def has_gain_at_rest(plant: LinearPlant, omega: float) -> bool:
     """Whether the plant has a gain at rest; if it has a zero there, an integral would grow without effect.
 
     Args:
@@ -162,7 +172,7 @@ def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
     return abs(plant.response(FAR_BELOW * omega)) > VANISHING * abs(plant.response(omega))
 
 
-def falls_at_rest(plant: LinearPlant, omega: float) -> bool:
+def has_negative_gain_at_rest(plant: LinearPlant, omega: float) -> bool:
     """Whether the plant is stable and its output at rest falls as its command rises.
 
     Args:

@@ -9,7 +9,7 @@ from scipy import optimize
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.design.linear_plant import DesignProblem, LinearPlant
-from dssc_jax.design.pid_gains import acts_at_rest, limits
+from dssc_jax.design.pid_gains import command_limits, has_gain_at_rest
 from dssc_jax.models.controllers.linear_quadratic import filter_gain, gain_at_rest, regulator_gain, sampled_system
 
 FILTER_RATIO = 4.0
@@ -64,7 +64,7 @@ def lqg(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
         "signal_std": [float(deviation * size) for size in sizes],
         "disturbance_std": [1.0],
     }
-    return table | limits(problem) | operating_point(problem) | stated_model(problem)
+    return table | command_limits(problem) | operating_point(problem) | stated_model(problem)
 
 
 def signal_sizes(problem: DesignProblem, rows: np.ndarray, state_response: np.ndarray) -> np.ndarray:
@@ -138,7 +138,7 @@ def integral_weight(plant: LinearPlant, corner: float) -> float:
         plant: The sampled plant.
         corner: The corner frequency [rad/s].
     """
-    return corner**2 if acts_at_rest(plant, corner) else 0.0
+    return corner**2 if has_gain_at_rest(plant, corner) else 0.0
 
 
 def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, sample_time: float) -> float:
@@ -218,7 +218,7 @@ def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTa
         table["k_i"] = k_i
         if problem.limit is not None:
             table["tracking"] = 1.0 / (ratio * omega)
-    return table | limits(problem) | operating_point(problem)
+    return table | command_limits(problem) | operating_point(problem)
 
 
 def gains_of_signals(problem: DesignProblem, feedback: np.ndarray) -> np.ndarray:

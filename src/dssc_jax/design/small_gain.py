@@ -16,7 +16,7 @@ from typing import NamedTuple
 from dssc_jax.core.numerics import namespace
 from dssc_jax.design.arrays import Numeric, greater, ratio_where
 from dssc_jax.design.bounds import Bounds, Constants, derive
-from dssc_jax.design.lyapunov import Spread, eigenvalues_of_p, norm_of_pb
+from dssc_jax.design.lyapunov import EigenvalueRange, eigenvalues_of_p, norm_of_pb
 from dssc_jax.design.table1 import BOUNDARY_WIDTH, ULPS, Parameters
 
 RESOLVED = 1e-9  # smallest ratio of eigenvalues of P_eta that float64 resolves to a few digits
@@ -33,7 +33,7 @@ class ErrorDynamics(NamedTuple):
         reference: |P_eta B_m|, by which y_m' acts.
     """
 
-    spread: Spread
+    spread: EigenvalueRange
     input: Numeric
     reference: Numeric
 
@@ -49,7 +49,7 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
         l0: Error pole [1/s]; a number or an array.
     """
     if bounds.zero_dynamics is None:
-        return ErrorDynamics(Spread(1.0 / l0, 1.0 / l0), input=1.0 / l0, reference=0.0 * l0)
+        return ErrorDynamics(EigenvalueRange(1.0 / l0, 1.0 / l0), input=1.0 / l0, reference=0.0 * l0)
     xp = namespace(l0)
     l0 = xp.asarray(l0)
     a = bounds.zero_dynamics.a
@@ -71,7 +71,7 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     p_b_m = p[..., :, m - 1]  # B_m selects the last column of the zero dynamics
     p_b_sigma = p_b_m + p[..., :, m]
     return ErrorDynamics(
-        spread=Spread(xp.where(low > RESOLVED * high, low, xp.nan), high),
+        spread=EigenvalueRange(xp.where(low > RESOLVED * high, low, xp.nan), high),
         input=(p_b_sigma**2).sum(axis=-1) ** 0.5,
         reference=(p_b_m**2).sum(axis=-1) ** 0.5,
     )
@@ -161,7 +161,7 @@ class Gains(NamedTuple):
     k_v3: Numeric
 
 
-def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, eigenvalues: Spread) -> Gains:
+def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, eigenvalues: EigenvalueRange) -> Gains:
     """The coefficients of the comparison system, with corrected powers of the eigenvalues.
 
     Args:

@@ -71,7 +71,7 @@ class LawSpread(NamedTuple):
         gains: Interval of each gain, by its name in :data:`GAIN_NAMES`; the middle loop has the middle of each. With
             q, phi_1/sigma stands in place of K_P.
         integral: omega_v, deviation of the increment of v or q in a sample.
-        command: omega_u, deviation of the command apart from what it takes over from v or q.
+        command: omega_u, deviation of the command, without the deviation of the v or q in it.
         slide: Deviation of the equivalent control u_eq; in the conservative form without the part that
             :func:`slide_hull` bounds.
         slide_e: Factor of the change of e in a sample with which e adds to u_eq [m/s per m].
@@ -149,29 +149,33 @@ def ratio_spread(problem: ProofProblem, hull: Hull, half_width: dict[str, float]
 
 
 def function_spread(
-    points: GainPoints, by_ratio: LawSpread, half_width: dict[str, float], t: float, errors: np.ndarray
+    points: GainPoints, by_ratio: LawSpread, half_width: dict[str, float], sample_time: float, errors: np.ndarray
 ) -> LawSpread:
     """The law in q, where phi_1, phi_2 and n deviate by a constant from the straight lines nearest to them.
 
     Args:
         points: Gains at points of the region.
-        by_ratio: The law whose deviations are bounded in |sigma|; what is the same is taken from it.
+        by_ratio: The law whose deviations are bounded in |sigma|, from :func:`ratio_spread`.
         half_width: Half of the width of each gain's interval.
-        t: T_s [s].
-        errors: R(sigma), what the increment of v differs by from the change of phi_1, shape (points,).
+        sample_time: T_s [s].
+        errors: R(sigma), from :func:`~dssc_jax.proofs.search.gains.increment_errors`, shape (points,).
     """
     size = np.abs(points.sigma)
-    mean, k_i, k_n = (points.columns[name] for name in ("mean", "k_i", "k_n"))  # phi_1, phi_2 and n over sigma
-    k_1, k_2, k_3 = (nearest_slope(size, ratio) for ratio in (mean, k_i, k_n))
-    integral_distance = largest_distance(size, k_i, k_2, errors / t)  # of phi_2, plus R/T_s
-    command_distance = largest_distance(size, mean + k_n, k_1 + k_3)  # of phi_1 + n
-    mean_distance = largest_distance(size, mean, k_1)  # of phi_1
+    phi_1_ratios = points.columns["mean"]  # phi_1/sigma
+    phi_2_ratios = points.columns["k_i"]
+    n_ratios = points.columns["k_n"]
+    k_1 = nearest_slope(size, phi_1_ratios)
+    k_2 = nearest_slope(size, phi_2_ratios)
+    k_3 = nearest_slope(size, n_ratios)
+    phi_1_distance = largest_distance(size, phi_1_ratios, k_1)
+    phi_2_distance = largest_distance(size, phi_2_ratios, k_2, errors / sample_time)  # plus R/T_s
+    command_distance = largest_distance(size, phi_1_ratios + n_ratios, k_1 + k_3)  # of phi_1 + n
     return LawSpread(
         is_integrated=True,
         gains=by_ratio.gains | {"k_p": (k_1, k_1), "k_i": (k_2, k_2), "k_n": (k_3, k_3)},
-        integral=Deviation(0.0, 0.0, t * integral_distance),
-        command=Deviation(0.0, 0.0, command_distance),
-        slide=Deviation(by_ratio.slide.change, half_width["slide_i"], mean_distance),
+        integral=Deviation(change=0.0, sigma=0.0, constant=sample_time * phi_2_distance),
+        command=Deviation(change=0.0, sigma=0.0, constant=command_distance),
+        slide=Deviation(by_ratio.slide.change, sigma=half_width["slide_i"], constant=phi_1_distance),
         slide_e=by_ratio.slide_e,
     )
 

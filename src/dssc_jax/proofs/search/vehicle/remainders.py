@@ -6,7 +6,7 @@ The formulas are those of docs/vehicle_proofs.md, in their order; their symbols 
 from dataclasses import dataclass
 
 from dssc_jax.proofs.search.vehicle.attitude import Attitude, Signals, attitude_of
-from dssc_jax.proofs.search.vehicle.channels import GRAVITY
+from dssc_jax.proofs.search.vehicle.channels import GRAVITY, Damping
 from dssc_jax.proofs.search.vehicle.drag import DragBounds, drag_of
 from dssc_jax.proofs.search.vehicle.rotors import Moments, Rotors, inertia_ratios, moments_of, rotors_of
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
@@ -38,7 +38,7 @@ class Couplings:
 def remainders_of(
     problem: VehicleProblem,
     bounds: Signals,
-    damping: tuple[float, float],
+    damping: Damping,
     earlier: Rotors | None = None,
     couplings: Couplings | None = None,
 ) -> tuple[Signals, Rotors]:
@@ -47,7 +47,7 @@ def remainders_of(
     Args:
         problem: The vehicle.
         bounds: Bounds of the vehicle's signals, in a cell of time.
-        damping: Damping of drag in the plane and along z [1/s].
+        damping: Damping of drag.
         earlier: Bounds of the rotors in the cells before; None in the first one.
         couplings: Bounds of the couplings; None: the vehicle hovers.
 

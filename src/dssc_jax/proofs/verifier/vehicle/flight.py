@@ -12,7 +12,7 @@ from dssc_jax.proofs.verifier.balls import Balls
 from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.channels import SignalBalls
 from dssc_jax.proofs.verifier.vehicle.nominal import OUTPUT_RATE
-from dssc_jax.proofs.verifier.vehicle.waves import at_start, largest, rate, sine_wave
+from dssc_jax.proofs.verifier.vehicle.waves import derivative, largest_magnitude, sine_wave, value_at_start
 
 
 class Flight(NamedTuple):
@@ -61,8 +61,8 @@ def flight_of(problem: VehicleProblem, channels: Mapping[str, Balls]) -> Flight 
     sines = problem["reference"]
     if sines is None:
         return None
-    lift = largest(rate(rate(sine_wave(sines["z"]))))  # of z_m''
-    yaw = largest(rate(sine_wave(sines["psi"])))  # of psi_m'
+    lift = largest_magnitude(derivative(derivative(sine_wave(sines["z"]))))  # of z_m''
+    yaw = largest_magnitude(derivative(sine_wave(sines["psi"])))  # of psi_m'
     return Flight(channels, lift, yaw)
 
 
@@ -121,4 +121,4 @@ def initial_yaw_rate(problem: VehicleProblem, name: str) -> arb:
     sines = problem["reference"]
     if sines is None or name != "psi":
         return arb(0)
-    return abs(at_start(rate(sine_wave(sines["psi"])))).upper()
+    return abs(value_at_start(derivative(sine_wave(sines["psi"])))).upper()

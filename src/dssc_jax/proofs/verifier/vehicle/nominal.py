@@ -18,13 +18,13 @@ from dssc_jax.proofs.verifier.vehicle.channels import ALONG_AXES, EQUIVALENT, Ch
 from dssc_jax.proofs.verifier.vehicle.ranges import GRAVITY
 from dssc_jax.proofs.verifier.vehicle.waves import (
     Waves,
-    angular,
-    at_start,
+    angular_frequency,
+    derivative,
     multiple,
-    rate,
+    product,
     sine_wave,
-    sum_of,
-    times,
+    value_at_start,
+    wave_sum,
 )
 
 AXES = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
@@ -82,19 +82,22 @@ def axis_inputs_of(problem: VehicleProblem, name: str, damping: arb) -> list[Axi
     assert sines is not None
     references = {axis: sine_wave(sines[axis]) for axis in sines}
     if name == "psi":
-        comparisons = {"yaw_gap": (OUTPUT_RATE, rate(references["psi"]))}
+        comparisons = {"yaw_gap": (OUTPUT_RATE, derivative(references["psi"]))}
         return [AxisInputs(references["psi"], known_remainders={}, comparisons=comparisons)]
-    lift = rate(rate(references["z"]))  # z_m''
+    lift = derivative(derivative(references["z"]))  # z_m''
     if name == "z":
         return [AxisInputs(references["z"], known_remainders={}, comparisons={"lift_gap": ("wanted", lift)})]
-    yaw_rate = rate(references["psi"])
-    alpha_0 = {axis: sum_of(rate(rate(references[axis])), multiple(rate(references[axis]), damping)) for axis in "xy"}
+    yaw_rate = derivative(references["psi"])
+    alpha_0 = {}
+    for axis in "xy":
+        speed = derivative(references[axis])
+        alpha_0[axis] = wave_sum(derivative(speed), multiple(speed, damping))
     quarter_turn = {"x": multiple(alpha_0["y"], arb(-1)), "y": alpha_0["x"]}
     axes = []
     for axis in "xy":
-        force = multiple(times(lift, alpha_0[axis]), 1 / arb(GRAVITY))
-        yaw_torque = multiple(times(yaw_rate, quarter_turn[axis]), arb(problem["damping"]))
-        torque = sum_of(yaw_torque, multiple(force, -arb(problem["stiffness"])))
+        force = multiple(product(lift, alpha_0[axis]), 1 / arb(GRAVITY))
+        yaw_torque = multiple(product(yaw_rate, quarter_turn[axis]), arb(problem["damping"]))
+        torque = wave_sum(yaw_torque, multiple(force, -arb(problem["stiffness"])))
         comparisons = {"alpha_gap": ("alpha", alpha_0[axis]), "wanted_gap": ("wanted", alpha_0[axis])}
         axes.append(AxisInputs(references[axis], {"force": force, "torque": torque}, comparisons))
     return axes
@@ -169,7 +172,7 @@ class InputPhasors(NamedTuple):
 
 def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
     """The phasors at one frequency [Hz] of the known motion along an axis; 0 where it has no such frequency."""
-    i_omega = acb(0, angular(frequency))
+    i_omega = acb(0, angular_frequency(frequency))
     speed = i_omega * inputs.reference.get(frequency, acb(0))
     known_remainders = {name: waves.get(frequency, acb(0)) for name, waves in inputs.known_remainders.items()}
     return InputPhasors(speed, i_omega * speed, known_remainders)
@@ -251,7 +254,7 @@ def steady_response(
     t = arb(problem["sample_time"])
     l0 = arb(controller["l0"])
     k_1, k_2, k_3 = map(arb, proof["slopes"])
-    i_omega = acb(0, angular(frequency))
+    i_omega = acb(0, angular_frequency(frequency))
     drive = input_phasors(inputs, frequency)
     integral_input = -t * k_2 * drive.speed  # into q, by -y_m' in sigma
     command_input = (k_1 + k_3) * drive.speed - integral_input
@@ -341,7 +344,7 @@ def first_state(
 
     The vehicle starts with the velocity of its reference, but does not turn: there sigma_0 = -psi_m' sets q_(-1).
     """
-    speed = at_start(rate(inputs.reference))
+    speed = value_at_start(derivative(inputs.reference))
     entries = [arb(0)] * sampled.a.nrows()
     if name == "psi":
         ratio = start_ratio(proof, problem["channels"][name]["start"], arb(problem["sample_time"]))
