@@ -336,8 +336,11 @@ def ssc(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
         ConfigError: The plant has another relative degree than two or a negative gain, or the command has no limit.
     """
     del ratio
-    study, limit = problem.study, problem.limit
-    a, b, c = problem.plant.a, problem.plant.b, problem.plant.c
+    study = problem.study
+    limit = problem.limit
+    a = problem.plant.a
+    b = problem.plant.b
+    c = problem.plant.c
     k_p = float(c @ a @ b)  # high-frequency gain of a plant of relative degree two, for which c b = 0
     is_of_degree_two = abs(c @ b) <= SMALL_PRODUCT * (np.abs(c) @ np.abs(b))
     if not is_of_degree_two or not k_p > 0.0:

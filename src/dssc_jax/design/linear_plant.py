@@ -214,7 +214,8 @@ def actuators_at_sample(actuators: LinearActuators, sample_time: float) -> Actua
 
     The matrices are derivatives of the actuators' functions, which are the same at every state.
     """
-    model, params = actuators.model, actuators.params
+    model = actuators.model
+    params = actuators.params
     if model is None:  # v = u, without a state
         return ActuatorsAtSample(
             state=np.zeros((0, 0)),

@@ -217,7 +217,8 @@ def equilibrium(
     @jax.jit
     def excess(point: jax.Array, y: Scalar) -> jax.Array:
         """Rate of change x' and deviation of the output from y, which both vanish at the equilibrium (x, u)."""
-        x, u = point[:-1], point[-1]
+        x = point[:-1]
+        u = point[-1]
         return jnp.append(slope(x, u), output(x, u) - y)
 
     slopes = jax.jit(jax.jacfwd(excess))

@@ -38,7 +38,8 @@ def lqg(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
     Raises:
         ConfigError: No weights give these crossovers, or a signal does not move with the disturbance.
     """
-    study, plant = problem.study, problem.bare_plant
+    study = problem.study
+    plant = problem.bare_plant
     nominal = problem.plant.nominal
     rows = nominal.signals if study.loop.measures else nominal.output[None, :]  # of the signals that the filter takes
     dt = plant.sample_time
@@ -197,7 +198,9 @@ def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTa
     weight = regulator_weight(sampled.a, sampled.b, plant.c, omega, dt)
     n = len(plant.a)
     integral = integral_weight(problem.bare_plant, ratio * omega)
-    a, b, state_weight = sampled.a, sampled.b[:, None], np.outer(plant.c, plant.c)
+    a = sampled.a
+    b = sampled.b[:, None]
+    state_weight = np.outer(plant.c, plant.c)
     if integral > 0.0:  # one more state, the sum of T_s y
         a = np.block([[a, np.zeros((n, 1))], [dt * plant.c[None, :], np.ones((1, 1))]])
         b = np.append(b, [[0.0]], axis=0)

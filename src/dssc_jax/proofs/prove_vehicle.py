@@ -97,11 +97,13 @@ class VehicleProved:
         if self.verdict is None or self.failure:
             return f"Nothing is proved: {self.reason}."
         wind_h, wind_z = self.problem.wind
-        bounds, settled = self.verdict.bounds, self.verdict.settled
+        bounds = self.verdict.bounds
+        settled = self.verdict.settled
         vehicle = ", ".join(["", *vehicle_words(self.problem)])
         ends = ""
         if settled["x"]["e"] < 0.99 * bounds["x"]["e"]:
-            plane, height = digits_above(settled["x"]["e"]), digits_above(settled["z"]["e"])
+            plane = digits_above(settled["x"]["e"])
+            height = digits_above(settled["z"]["e"])
             ends = f" It ends within |e_x|, |e_y| <= {plane} m and |e_z| <= {height} m."
         wind = f"every wind with |w_h| <= {wind_h:g} m/s and |w_z| <= {wind_z:g} m/s that changes as it likes"
         e_x, e_z, e_psi = (digits_above(bounds[name]["e"]) for name in CHANNELS)

@@ -44,19 +44,29 @@ def state_layout(problem: ProofProblem) -> StateLayout:
     return StateLayout(slice(zeta_start, zeta_end), slice(zeta_end, memory_end), memory_end + 2)
 
 
-def companion_form(problem: ProofProblem) -> tuple[np.ndarray, np.ndarray, float]:
-    """G(mu s) in companion form.
+class CompanionForm(NamedTuple):
+    """G(mu s) as a state-space system in companion form.
 
-    Returns:
-        Coefficients a_0 to a_(n-1) of the monic denominator, the output row, and the feedthrough.
+    Args:
+        a: a_0 to a_(n-1), the coefficients of the monic denominator in rising powers, without the leading 1.
+        output: Output row, shape (n,).
+        direct: Feedthrough.
     """
+
+    a: np.ndarray
+    output: np.ndarray
+    direct: float
+
+
+def companion_form(problem: ProofProblem) -> CompanionForm:
+    """G(mu s) in companion form."""
     leading = problem.denominator[-1]
     denominator = np.array(problem.denominator) / leading
     numerator = np.zeros(denominator.size)
     numerator[: len(problem.numerator)] = problem.numerator
     numerator = numerator / leading
     output = numerator[:-1] - numerator[-1] * denominator[:-1]
-    return denominator[:-1], output, float(numerator[-1])
+    return CompanionForm(denominator[:-1], output, float(numerator[-1]))
 
 
 def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -83,13 +93,16 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
         f[1 + order, 1] = 1.0
         f[1 + order, 2 : 2 + order] = np.negative(problem.zero_a)
     if problem.denominator:
-        coefficients, f[1, zeta], g[1] = companion_form(problem)
+        dynamics = companion_form(problem)
+        f[1, zeta] = dynamics.output
+        g[1] = dynamics.direct
         for i in range(zeta.start, zeta.stop - 1):  # mu zeta_i' = zeta_(i+1), and the last one is driven by U
             f[i, i + 1] = rate
-        f[zeta.stop - 1, zeta] = -rate * coefficients
+        f[zeta.stop - 1, zeta] = -rate * dynamics.a
         g[zeta.stop - 1] = rate
     else:  # a weighted sum of the command and of those before it, which zeta holds
-        g[1], *f[1, zeta] = problem.delay_weights
+        g[1] = problem.delay_weights[0]
+        f[1, zeta] = problem.delay_weights[1:]
     return f, g
 
 

@@ -222,7 +222,7 @@ def middle_gains(spread: LawSpread) -> list[float]:
     return [middle(spread.gains[name]) for name in GAIN_NAMES]
 
 
-def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float, error_change: float) -> Interval:
+def slide_hull(problem: ProofProblem, region: StageRegion, error_change: float) -> Interval:
     """The interval of K_P (1 + tau_av/T_s), the gain of sigma - s in the equivalent control; it has no unit.
 
     In the conservative form K_P is a mean over the sample, whereas tau_av belongs to its end. With a constant k_o,
@@ -231,34 +231,38 @@ def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float
 
     Args:
         problem: The loop and its uncertain numbers.
-        region: Bounds of |sigma| [m/s] and |e| [m].
-        change: Bound of the change of sigma in a sample [m/s].
+        region: The region.
         error_change: Bound of the change of e in a sample [m].
     """
-    hull = gain_hull(problem, *region)
+    hull = gain_hull(problem, region.sigma, region.e)
     by_extremes = hull["slide_p"]
     functions = problem.functions
     if problem.form == "implicit" or "k_o" not in functions or functions["kind"] == "constant":
         return by_extremes
-    ratio = slope_ratio(problem, region, change, error_change)
+    ratio = slope_ratio(problem, region, error_change)
     averaging_gain = 1.0 / (functions["k_o"] * problem.sample_time)  # tau_av K_P/T_s where the slopes agree
     k_p_low, k_p_high = hull["k_p"]
     by_ratio = (k_p_low + averaging_gain / ratio, k_p_high + averaging_gain * ratio)
-    return min(by_extremes, by_ratio, key=lambda interval: interval[1] - interval[0])
+    return min(by_extremes, by_ratio, key=width)
 
 
-def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: float, error_change: float) -> float:
+def width(interval: Interval) -> float:
+    """The distance of the two ends of an interval."""
+    low, high = interval
+    return high - low
+
+
+def slope_ratio(problem: ProofProblem, region: StageRegion, error_change: float) -> float:
     """The largest ratio of the slopes d phi_1/d sigma at two points that the loop can pass within one sample.
 
     Each cell of a grid of sigma and e is compared with all cells that are near enough.
 
     Args:
         problem: The loop and its uncertain numbers.
-        region: Bounds of |sigma| [m/s] and |e| [m].
-        change: Bound of the change of sigma in a sample [m/s].
+        region: The region.
         error_change: Bound of the change of e in a sample [m].
     """
-    sigma, e = region
+    sigma, e, change = region
     size = sigma * np.linspace(0.0, 1.0, ROOT_CELLS + 1) ** 2
     errors = e * np.linspace(0.0, 1.0, ERROR_CELLS + 1)
     with jax.enable_x64(True):

@@ -44,7 +44,8 @@ from dssc_jax.proofs.verifier.gain_enclosures import (
 from dssc_jax.proofs.verifier.held_plant import flows, generator_over, held_vertices
 from dssc_jax.proofs.verifier.slope_ratios import slide_gain
 
-ERROR, SPEED = 0, 1
+ERROR = 0
+SPEED = 1
 """Places of e and e' in z."""
 PieceGains = list[tuple[float, Balls]]
 """For each piece of |sigma|, its upper end [m/s] and the gains in it."""

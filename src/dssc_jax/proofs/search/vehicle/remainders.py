@@ -132,7 +132,8 @@ def coupled_torque(problem: VehicleProblem, bounds: Signals, attitude: Attitude,
 
     The first term is there because the desired tilt b_d is not linear, the second because the plane turns.
     """
-    a_0, a_1 = problem.stiffness, problem.damping
+    a_0 = problem.stiffness
+    a_1 = problem.damping
     if couplings is None:
         return a_0 * GRAVITY * attitude.tilt_defect + GRAVITY * a_1 * attitude.yaw_rate * attitude.tilt
     demand = bounds["x"]["wanted"]  # A_h
@@ -151,9 +152,12 @@ def torques_without_lag(
     m_h and m_z bound how far the body's angular acceleration is from the wanted one, across and along body z [rad/s^2].
     """
     delta = problem.turn_deviation  # the largest |nu_i - 1|
-    s, t = attitude.tilt, attitude.tangent
-    tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
-    rate_h, rate_z = attitude.rate_h, attitude.rate_z
+    s = attitude.tilt
+    t = attitude.tangent
+    tilt_demand = attitude.tilt_demand
+    yaw_demand = attitude.yaw_demand
+    rate_h = attitude.rate_h
+    rate_z = attitude.rate_z
     (x_low, x_high), (y_low, y_high), (z_low, z_high) = problem.inertia
     l_h = max((z_high + y_high) / x_low, (z_high + x_high) / y_low)
     l_z = (x_high + y_high) / z_low
@@ -174,8 +178,10 @@ def torques_with_lag(
     bound how far the body's true one is from it. Each is across and along body z [rad/s^2].
     """
     delta = problem.turn_deviation  # the largest |nu_i - 1|
-    s, t = attitude.tilt, attitude.tangent
-    rate_h, rate_z = attitude.rate_h, attitude.rate_z
+    s = attitude.tilt
+    t = attitude.tangent
+    rate_h = attitude.rate_h
+    rate_z = attitude.rate_z
     i_h, i_z = inertia_ratios(problem.inertia)
     mu_h = bounds["x"]["gamma"] / GRAVITY
     mu_z = bounds["psi"]["gamma"]

@@ -177,7 +177,8 @@ def channel_response(
         start_offsets: Known part of z_0 less the nominal flight's, shape (n, axes); None: there is none.
     """
     observation = observe_channel(problem, channel, linear, lines)
-    a, rows = observation.step.a, observation.rows
+    a = observation.step.a
+    rows = observation.rows
     if spectral_radius(a) >= 1.0:
         return None
     no_starts = np.zeros((a.shape[0], 0))

@@ -64,7 +64,8 @@ def inertia_ratios(inertia: tuple[Interval, ...]) -> tuple[float, float]:
 
 def largest_difference(a: Interval, b: Interval) -> float:
     """The largest |a - b| over two intervals."""
-    (a_low, a_high), (b_low, b_high) = a, b
+    (a_low, a_high) = a
+    (b_low, b_high) = b
     return max(a_high - b_low, b_high - a_low)
 
 
@@ -77,7 +78,8 @@ def moments_of(problem: VehicleProblem, attitude: Attitude) -> Moments:
     """Bounds r_mh and r_mz of how far the commanded angular acceleration mu_c is from m/g and from eta_psi."""
     j_h, j_z = believed_ratios(problem)
     s = attitude.tilt
-    tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
+    tilt_demand = attitude.tilt_demand
+    yaw_demand = attitude.yaw_demand
     coupled_h = attitude.frame_h + j_h * attitude.rate_h * attitude.rate_z
     coupled_z = attitude.frame_z + j_z * attitude.rate_h**2 / 2.0
     turn_terms = problem.damping * attitude.yaw_rate * s + s * yaw_demand + s**2 * tilt_demand / 2.0 + coupled_h
@@ -116,10 +118,12 @@ def rotors_of(
         OutOfRange: A rotor may reach a limit, or may be too far behind its command.
     """
     j_h, j_z = believed_ratios(problem)
-    n, k = problem.rotors, problem.thrust_coefficient
+    n = problem.rotors
+    k = problem.thrust_coefficient
     mass = problem.believed_mass
     s = attitude.tilt
-    tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
+    tilt_demand = attitude.tilt_demand
+    yaw_demand = attitude.yaw_demand
     plane = tilt_demand + s * yaw_demand + attitude.frame_h + j_h * attitude.rate_h * attitude.rate_z  # M_h
     yaw = yaw_demand + s * tilt_demand + attitude.frame_z + j_z * attitude.rate_h**2 / 2.0  # M_z
     added_thrust = moment_thrust(problem, plane, yaw)  # d_M

@@ -145,9 +145,12 @@ def torques_without_lag(
 
     m_h and m_z bound how far the body's angular acceleration is from the wanted one, across and along body z [rad/s^2].
     """
-    s, t = attitude.tilt, attitude.tangent
-    tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
-    rate_h, rate_z = attitude.rate_h, attitude.rate_z
+    s = attitude.tilt
+    t = attitude.tangent
+    tilt_demand = attitude.tilt_demand
+    yaw_demand = attitude.yaw_demand
+    rate_h = attitude.rate_h
+    rate_z = attitude.rate_z
     turning_h = tilt_demand + s * yaw_demand + attitude.frame_h + ranges.sum_ratio_h * rate_h * rate_z
     turning_z = yaw_demand + s * tilt_demand + attitude.frame_z + ranges.sum_ratio_z * rate_h * rate_h / 2
     m_h = ranges.turn_deviation * turning_h + drag.torque_h
@@ -167,10 +170,12 @@ def torques_with_lag(
     mu_h and mu_z bound mu, the angular acceleration that the rotors achieve as the inner loops believe. m_h and m_z
     bound how far the body's true one is from it. Each is across and along body z [rad/s^2].
     """
-    s, t = attitude.tilt, attitude.tangent
+    s = attitude.tilt
+    t = attitude.tangent
     g = ranges.gravity
     time_constant = arb(problem["rotor_lag"])
-    rate_h, rate_z = attitude.rate_h, attitude.rate_z
+    rate_h = attitude.rate_h
+    rate_z = attitude.rate_z
     mu_h = (bounds["x"]["gamma"] / g).upper()
     mu_z = bounds["psi"]["gamma"]
     m_h = ranges.turn_deviation * mu_h + drag.torque_h + ranges.ratio_h * rate_h * rate_z + attitude.frame_h

@@ -305,7 +305,9 @@ def start_columns(
     m = sampled.a.nrows()
     ratio = start_ratio(proof, start, t)  # -q_(-1)/sigma_0
     units = identity(m)
-    e, e_dot, q = column(units, 0), column(units, 1), column(units, m - 1)
+    e = column(units, 0)
+    e_dot = column(units, 1)
+    q = column(units, m - 1)
     columns = [
         e - q * (ratio * sampled.sigma[0, 0]),  # sigma_0 = e' + l_0 e sets q_(-1), too
         e_dot - q * (ratio * sampled.sigma[0, 1]),

@@ -19,7 +19,8 @@ def sum_of_sines(sines: Sequence[tuple[Fraction, acb]]) -> dict[Fraction, acb]:
     result: dict[Fraction, acb] = {}
     for frequency, phasor in sines:
         if frequency < 0:  # Re(c e^(-i w t)) is Re(conj(c) e^(i w t))
-            frequency, phasor = -frequency, phasor.conjugate()
+            frequency = -frequency
+            phasor = phasor.conjugate()
         elif frequency == 0:
             phasor = acb(phasor.real)
         result[frequency] = result.get(frequency, acb(0)) + phasor
