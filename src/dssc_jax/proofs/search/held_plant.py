@@ -134,15 +134,24 @@ def held_matrix(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:
     return generator
 
 
-def sensor_weights(problem: ProofProblem) -> tuple[float, float]:
-    """kappa and lambda of a sensor's lag; both are 0 for an exact sensor.
+class SensorWeights(NamedTuple):
+    """Weights of a sensor's lag, which shows (1 - kappa) y + m with a memory m.
 
-    It shows (1 - kappa) y + m with a memory m, and m+ = lambda m + kappa (1 - lambda) y.
+    Args:
+        kappa: Share of y that the sensor leaves out.
+        decay: lambda, the factor of m in a sample: m+ = lambda m + kappa (1 - lambda) y.
     """
+
+    kappa: float
+    decay: float
+
+
+def sensor_weights(problem: ProofProblem) -> SensorWeights:
+    """The weights of a sensor's lag; both are 0 for an exact sensor."""
     if not problem.sensor_lag:
-        return 0.0, 0.0
-    steps = problem.sample_time / problem.sensor_lag  # T_s/mu_s
-    return float(-np.expm1(-steps) / steps), float(np.exp(-steps))
+        return SensorWeights(0.0, 0.0)
+    ratio = problem.sample_time / problem.sensor_lag  # T_s/mu_s
+    return SensorWeights(kappa=float(-np.expm1(-ratio) / ratio), decay=float(np.exp(-ratio)))
 
 
 def held_matrices(problem: ProofProblem, a_p: float, rate: float) -> HeldSample:
@@ -163,11 +172,11 @@ def with_next_memories(problem: ProofProblem, sample: HeldSample) -> HeldSample:
                 gamma[i] = 1.0
             else:
                 phi[i, i - 1] = 1.0
-    kappa, memory_decay = sensor_weights(problem)
+    kappa, decay = sensor_weights(problem)
     phi[memory] = 0.0
     for signal, i in enumerate(range(memory.start, memory.stop)):  # states 0 and 1 are e and e'
-        phi[i, i] = memory_decay
-        phi[i, signal] = kappa * (1.0 - memory_decay)
+        phi[i, i] = decay
+        phi[i, signal] = kappa * (1.0 - decay)
     return sample
 
 

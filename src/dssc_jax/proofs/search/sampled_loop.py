@@ -207,7 +207,7 @@ def signal_rows(problem: ProofProblem) -> SignalRows:
     measured_e = true_e
     measured_rate = true_rate
     if problem.sensor_lag:
-        kappa, _ = sensor_weights(problem)
+        kappa = sensor_weights(problem).kappa
         measured_e = (1.0 - kappa) * true_e + state_rows[memory.start]
         measured_rate = (1.0 - kappa) * true_rate + state_rows[memory.start + 1]
     sigma = measured_rate + problem.l0 * measured_e

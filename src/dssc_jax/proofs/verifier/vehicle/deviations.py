@@ -13,7 +13,7 @@ from flint import arb
 
 from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum, minimum_bound
 from dssc_jax.proofs.verifier.certificate import Problem
-from dssc_jax.proofs.verifier.function_distances import function_distances
+from dssc_jax.proofs.verifier.function_distances import StraightLines, function_distances
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.premises import with_premise
@@ -118,6 +118,7 @@ def deviations_of(
     controller = problem["channels"][name]
     k_1, k_2, k_3 = map(arb, proof["slopes"])
     slopes = {"mean": k_1, "k_i": k_2, "k_n": k_3}  # of phi_1, phi_2 and phi_3, by the gains that are their ratios
+    lines = StraightLines(slopes, proof["share"])
     loop = cast(
         Problem,  # only the entries that the gains depend on
         {
@@ -129,9 +130,7 @@ def deviations_of(
         },
     )
     try:
-        distances = function_distances(
-            loop, sigma, e=0.0, centre=slopes, room=DISTANCE_ROOM, sigma_from=sigma_from, share=proof["share"]
-        )
+        distances = function_distances(loop, sigma, e=0.0, lines=lines, room=DISTANCE_ROOM, sigma_from=sigma_from)
         gains = enclosed_gains(loop, sigma, e=0.0, sigma_from=sigma_from)
     except Rejected as rejected:
         raise with_premise(rejected, "V2", f" of {name}") from None
