@@ -155,18 +155,32 @@ def certified_up_to(study: Study, name: str, values: np.ndarray) -> CertifiedRea
     if verdicts.all():
         text = f"Theorem 1 certifies the whole walk, without lag and sampling, to {name} = {values[-1]:g}"
         return CertifiedReach(float(values[-1]), text)
+    certified_end = refined_end(study, name, values, verdicts)
+    text = f"Theorem 1 certifies the loop, without lag and sampling, as far as {name} = {certified_end:.6g}"
+    return CertifiedReach(certified_end, text)
+
+
+def refined_end(study: Study, name: str, values: np.ndarray, verdicts: np.ndarray) -> float:
+    """The last certified value of a number, from finer and finer values in the cell in which the certificate is lost.
+
+    Args:
+        study: The study.
+        name: Dotted name of the number, or :data:`SPREAD`.
+        values: Values of the number, from its safe end, shape (n,).
+        verdicts: Whether each is certified, shape (n,): the first one is, and not all are.
+    """
+    marks_of = marks_over_spread if name == SPREAD else marks_along
     first_failure = int(np.argmin(verdicts))
     certified_end = values[first_failure - 1]
     failing_end = values[first_failure]
     for _ in range(REFINEMENTS):
         refined_values = np.linspace(certified_end, failing_end, CELL_POINTS)
-        verdicts, _ = marks_of(study, name, refined_values)
-        assert verdicts is not None  # the theorem applies at both ends
-        first_failure = max(1, int(np.argmin(verdicts)))
+        refined_verdicts, _ = marks_of(study, name, refined_values)
+        assert refined_verdicts is not None  # the theorem applies at both ends
+        first_failure = max(1, int(np.argmin(refined_verdicts)))
         certified_end = refined_values[first_failure - 1]
         failing_end = refined_values[first_failure]
-    text = f"Theorem 1 certifies the loop, without lag and sampling, as far as {name} = {certified_end:.6g}"
-    return CertifiedReach(float(certified_end), text)
+    return float(certified_end)
 
 
 def marks_along(study: Study, name: str, values: np.ndarray) -> Mark:

@@ -257,5 +257,9 @@ def as_arrays(system: LinearSystem | None, order: int) -> SystemArrays:
     """
     if system is None:
         return SystemArrays(np.zeros((order, order)), np.zeros(order), np.zeros(order), 1.0)
-    a, b, c = (np.asarray(part, float) for part in system[:3])
-    return SystemArrays(a, b, c, float(system.d))
+    return SystemArrays(
+        a=np.asarray(system.a, float),
+        b=np.asarray(system.b, float),
+        c=np.asarray(system.c, float),
+        d=float(system.d),
+    )

@@ -188,7 +188,7 @@ def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.
             return None
         command -= float(effect @ rate) / size  # least squares
     residual = np.abs(np.asarray(rate_of(command), float))
-    slopes, effect = (np.asarray(part) for part in jax.jit(jax.jacfwd(slope, argnums=(0, 1)))(start, command))
+    slopes, effect = map(np.asarray, jax.jit(jax.jacfwd(slope, argnums=(0, 1)))(start, command))
     terms = np.abs(slopes) @ np.abs(np.asarray(start)) + np.abs(effect * command)
     is_at_rest = np.all(residual <= np.maximum(AT_REST * initial_rate, ROUNDING * terms))
     return command if is_at_rest else None

@@ -125,7 +125,7 @@ def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: N
     return xp.stack(xp.broadcast_arrays(*eigenvalues)).min(axis=0)
 
 
-def attack_q(p: Parameters, bounds: Bounds) -> float:
+def smallest_q_on_grid(p: Parameters, bounds: Bounds) -> float:
     """Smallest eigenvalue of Q - 2 eps I that a search over a grid of sigma, e and k_p finds; for plain numbers.
 
     It attacks the proof: a negative value would refute it. |sigma| and |e| range from 0 to 10^6 times the values at
@@ -136,6 +136,19 @@ def attack_q(p: Parameters, bounds: Bounds) -> float:
     e = multiples[None, :, None] * p.kappa_c / p.kappa_b
     k_p = np.linspace(bounds.k_min, bounds.k_max, GAIN_POINTS)
     return float(np.min(worst_of_q(p, bounds, k_p, sigma, e)))
+
+
+class LinearBound(NamedTuple):
+    """A bound ``by_sigma`` |sigma| + ``by_e`` |e| + ``constant``."""
+
+    by_sigma: Numeric
+    by_e: Numeric
+    constant: Numeric
+
+
+def weighted_sum(first_weight: Numeric, first: LinearBound, second_weight: Numeric, second: LinearBound) -> LinearBound:
+    """The sum of two bounds, each times its weight."""
+    return LinearBound(*(first_weight * x + second_weight * y for x, y in zip(first, second, strict=True)))
 
 
 def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
@@ -160,20 +173,25 @@ def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
     k_p = bounds.k_min
     gain = f(k_p, eps, p.gamma)
     p_11 = p.gamma * k_p
-    # coefficients of |sigma|, |e| and 1 in rho_1, rho_2, rho = 2 eps rho_1 + rho_2, and in the linear terms
-    rho_1 = tuple(x / p.phi_b for x in (c.kd2_bar, c.kd1_bar, c.kd3_bar))
-    rho_2 = tuple(x / p.phi_b**2 for x in (bounds.k_max * bounds.c_isigma, bounds.k_max * bounds.c_ie, c.k_sigma))
-    rho_sigma, rho_e, rho_0 = (2.0 * eps * x + y for x, y in zip(rho_1, rho_2, strict=True))
-    linear_sigma, linear_e, linear_0 = (
-        4.0 * eps * p_11 * x + 8.0 * eps**2 * y for x, y in zip(rho_1, rho_2, strict=True)
+    rho_1 = LinearBound(
+        by_sigma=c.kd2_bar / p.phi_b,
+        by_e=c.kd1_bar / p.phi_b,
+        constant=c.kd3_bar / p.phi_b,
     )
+    rho_2 = LinearBound(
+        by_sigma=bounds.k_max * bounds.c_isigma / p.phi_b**2,
+        by_e=bounds.k_max * bounds.c_ie / p.phi_b**2,
+        constant=c.k_sigma / p.phi_b**2,
+    )
+    rho = weighted_sum(2.0 * eps, rho_1, 1.0, rho_2)
+    linear = weighted_sum(4.0 * eps * p_11, rho_1, 8.0 * eps**2, rho_2)  # the subtracted terms with rho_1 and rho_2
     return (
-        gain * p.kappa_a**2 - rho_sigma**2,
-        2.0 * (gain * p.kappa_a * p.kappa_b - rho_sigma * rho_e),
-        gain * p.kappa_b**2 - rho_e**2,
-        2.0 * (gain * p.kappa_a * p.kappa_c - rho_sigma * rho_0) - linear_sigma,
-        2.0 * (gain * p.kappa_b * p.kappa_c - rho_e * rho_0) - linear_e,
-        gain * (p.kappa_c**2 + p.kappa_d) - rho_0**2 - linear_0 - 8.0 * eps**2 * p_11 - 4.0 * eps**2,
+        gain * p.kappa_a**2 - rho.by_sigma**2,
+        2.0 * (gain * p.kappa_a * p.kappa_b - rho.by_sigma * rho.by_e),
+        gain * p.kappa_b**2 - rho.by_e**2,
+        2.0 * (gain * p.kappa_a * p.kappa_c - rho.by_sigma * rho.constant) - linear.by_sigma,
+        2.0 * (gain * p.kappa_b * p.kappa_c - rho.by_e * rho.constant) - linear.by_e,
+        gain * (p.kappa_c**2 + p.kappa_d) - rho.constant**2 - linear.constant - 8.0 * eps**2 * p_11 - 4.0 * eps**2,
     )
 
 

@@ -142,24 +142,24 @@ def command_limits(problem: DesignProblem) -> TomlTable:
         state = element.model.init(numbers)
         has_state = bool(jax.tree.leaves(state))
         if not has_state:
-            low = saturated_end(element.model, numbers, state, low)
-            high = saturated_end(element.model, numbers, state, high)
+            low = passed_command(element.model, numbers, state, low)
+            high = passed_command(element.model, numbers, state, high)
     return {"low": low, "high": high}
 
 
-def saturated_end(model: Unmodelled, params: Params, state: State, end: float) -> float:
+def passed_command(model: Unmodelled, params: Params, state: State, extreme: float) -> float:
     """Largest or smallest command that an actuator without a state passes on: its output where it saturates.
 
     Args:
         model: The actuator.
         params: Its parameters, in plain numbers.
         state: Its empty state.
-        end: Largest or smallest command of the design, which stays if the actuator does not saturate there.
+        extreme: Largest or smallest command of the design, which stays if the actuator does not saturate there.
     """
-    output_at_end = float(model.output(params, state, end))
-    output_beyond = float(model.output(params, state, 2.0 * end))
-    is_saturated = output_at_end == output_beyond
-    return output_at_end if is_saturated else end
+    output = float(model.output(params, state, extreme))
+    output_beyond = float(model.output(params, state, 2.0 * extreme))
+    is_saturated = output == output_beyond
+    return output if is_saturated else extreme
 
 
 def has_gain_at_rest(plant: LinearPlant, omega: float) -> bool:

@@ -198,14 +198,10 @@ def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTa
     weight = regulator_weight(sampled.a, sampled.b, plant.c, omega, dt)
     n = len(plant.a)
     integral = integral_weight(problem.bare_plant, ratio * omega)
-    a = sampled.a
-    b = sampled.b[:, None]
-    state_weight = np.outer(plant.c, plant.c)
-    if integral > 0.0:  # one more state, the sum of T_s y
-        a = np.block([[a, np.zeros((n, 1))], [dt * plant.c[None, :], np.ones((1, 1))]])
-        b = np.append(b, [[0.0]], axis=0)
-        state_weight = np.block([[state_weight, np.zeros((n, 1))], [np.zeros((1, n)), integral * np.ones((1, 1))]])
-    gains = regulator_gain(a, b, state_weight, weight)
+    if integral > 0.0:
+        gains = integral_regulator_gain(sampled.a, sampled.b, plant.c, weight, integral, dt)
+    else:
+        gains = regulator_gain(sampled.a, sampled.b[:, None], np.outer(plant.c, plant.c), weight)
     feedback = gains[:n]
     signal_gains = gains_of_signals(problem, feedback)
     forward = gain_at_rest(sampled, plant.c, feedback)
@@ -222,6 +218,29 @@ def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTa
         if problem.limit is not None:
             table["tracking"] = 1.0 / (ratio * omega)
     return table | command_limits(problem) | operating_point(problem)
+
+
+def integral_regulator_gain(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, command_weight: float, integral: float, sample_time: float
+) -> np.ndarray:
+    """Gains of the regulator of the states and of one more state, the sum of T_s y, shape (n + 1,).
+
+    Args:
+        a: A of the sampled plant, shape (n, n).
+        b: Column of its input, shape (n,).
+        c: Row of y, shape (n,).
+        command_weight: Weight of u^2 beside y^2.
+        integral: Weight of the square of the sum.
+        sample_time: Sample time T_s [s].
+    """
+    n = len(a)
+    no_column = np.zeros((n, 1))
+    no_row = np.zeros((1, n))
+    one = np.ones((1, 1))
+    extended_a = np.block([[a, no_column], [sample_time * c[None, :], one]])
+    extended_b = np.append(b[:, None], [[0.0]], axis=0)
+    state_weight = np.block([[np.outer(c, c), no_column], [no_row, integral * one]])
+    return regulator_gain(extended_a, extended_b, state_weight, command_weight)
 
 
 def gains_of_signals(problem: DesignProblem, feedback: np.ndarray) -> np.ndarray:

@@ -106,8 +106,8 @@ class VehicleProved:
             height = digits_above(settled["z"]["e"])
             ends = f" It ends within |e_x|, |e_y| <= {plane} m and |e_z| <= {height} m."
         wind = f"every wind with |w_h| <= {wind_h:g} m/s and |w_z| <= {wind_z:g} m/s that changes as it likes"
-        e_x, e_z, e_psi = (digits_above(bounds[name]["e"]) for name in CHANNELS)
-        errors = f"|e_x|, |e_y| <= {e_x} m, |e_z| <= {e_z} m, |e_psi| <= {e_psi} rad"
+        largest = {name: digits_above(bounds[name]["e"]) for name in CHANNELS}
+        errors = f"|e_x|, |e_y| <= {largest['x']} m, |e_z| <= {largest['z']} m, |e_psi| <= {largest['psi']} rad"
         tilt = f"a tilt of {digits_above(math.degrees(self.verdict.tilt))} degrees"
         rotors = f"between {digits_below(self.verdict.rotor_min)} and {digits_above(self.verdict.rotor_max)} N"
         opening = "For"

@@ -163,25 +163,36 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool)
         box: Intervals of k_p, a_p and 1/mu.
         is_integrated: Whether the state z contains q = v - phi_1 in place of v.
     """
-    if (setting := setting_of(problem, box, is_integrated=is_integrated)) is None:
+    setting = setting_of(problem, box, is_integrated=is_integrated)
+    if setting is None:
         return Failure(box, Obstacle.ORIGIN)
     start_stage = first_set(setting)
     if isinstance(start_stage, Obstacle):
         return Failure(box, start_stage)
     stages = [start_stage]
     for _ in range(SHRINKING):
-        p = np.array(stages[-1].p)
-        sigma = INFLATION * largest_in_set(p, setting.origin.rows.sigma)
-        e = INFLATION * largest_in_set(p, setting.origin.rows.e)
-        change = INFLATION * largest_in_set(p, setting.origin.rows.change)
-        if residual_stages := towards_residual(problem, box, StageRegion(sigma, e, change), e, problem):
+        region = region_of_set(setting, stages[-1])
+        residual_stages = towards_residual(problem, box, region, region.e, problem)
+        if residual_stages:
             return Proof(box, [*stages, *residual_stages])
         # the first set after the start's tries several rates lambda; the sets after it keep the best of them
         shares = RATES if len(stages) == 1 else (stages[-1].rate / setting.speed,)
-        if (next_stage := smaller_set(setting, sigma, e, shares)) is None:
+        next_stage = smaller_set(setting, region.sigma, region.e, shares)
+        if next_stage is None:
             break
         stages.append(next_stage)
     return Proof(box, stages)
+
+
+def region_of_set(setting: Setting, stage: SetStage) -> StageRegion:
+    """The region that every trajectory enters in finite time, since the set of a stage attracts."""
+    p = np.array(stage.p)
+    rows = setting.origin.rows
+    return StageRegion(
+        sigma=INFLATION * largest_in_set(p, rows.sigma),
+        e=INFLATION * largest_in_set(p, rows.e),
+        change=INFLATION * largest_in_set(p, rows.change),
+    )
 
 
 def halves(box: Box, problem: ProofProblem) -> list[Box]:

@@ -16,7 +16,7 @@ from dssc_jax.proofs.problem import Interval, ProofProblem, middle
 
 
 class HeldSample(NamedTuple):
-    """The plant over a sample with a held command, chi+ = Phi chi + Gamma U.
+    """The plant over a sample, or another time, with a held command: chi+ = Phi chi + Gamma U.
 
     Args:
         phi: Phi, shape (n - 2, n - 2).
@@ -107,7 +107,7 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
 
 
 @lru_cache(maxsize=256)
-def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
+def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> HeldSample:
     """The exact solution of chi' = F chi + G U after some time with U held: chi(t) = exp(F t) chi(0) + gamma(t) U.
 
     Args:
@@ -117,11 +117,11 @@ def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[n
         time: t [s].
 
     Returns:
-        exp(F t), shape (n - 2, n - 2), and gamma(t), the integral of exp(F r) G over r from 0 to t, shape (n - 2,).
-        Both are cached, so callers must not change them.
+        Phi = exp(F t) and Gamma = gamma(t), the integral of exp(F r) G over r from 0 to t. Both are cached, so callers
+        must not change them.
     """
     exponential = expm(held_matrix(problem, a_p, rate) * time)
-    return exponential[:-1, :-1], exponential[:-1, -1]
+    return HeldSample(phi=exponential[:-1, :-1], gamma=exponential[:-1, -1])
 
 
 def held_matrix(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:

@@ -176,7 +176,7 @@ def step_of(
     jump[zeta] = resting_zeta(problem, point.k_p)
     change_of_offset = problem.sample_time * sizes.offset_slope * (jump - v)  # of d_r + f
     change_of_feed = problem.sample_time * sizes.feed_slope * jump  # of -f
-    theta = [bound * unit[i] for i, bound in enumerate(inside_bound(problem, point, box)[: zeta.start])]
+    theta = [bound * unit[i] for i, bound in enumerate(disturbance_effects(problem, point, box)[: zeta.start])]
     b = np.stack([change_of_offset, change_of_feed, *theta], axis=1)
     return Step(a=a, b=b, rows=rows, command=command, push=push, jump=jump)
 
@@ -214,7 +214,7 @@ def signal_rows(problem: ProofProblem) -> SignalRows:
     return SignalRows(e=measured_e, true_e=true_e, sigma=sigma, change=sigma - s)
 
 
-def inside_bound(problem: ProofProblem, point: LoopPoint, box: Box) -> np.ndarray:
+def disturbance_effects(problem: ProofProblem, point: LoopPoint, box: Box) -> np.ndarray:
     """Bounds of the components of theta, the effect of d_r's change within a sample, shape (n - 2,).
 
     A time t after the sample d_r has changed by D t at most. It acts through exp(F r) k_p b with a unit column b along

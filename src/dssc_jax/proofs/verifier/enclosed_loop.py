@@ -121,7 +121,7 @@ def sample_corners(
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     sizes = signal_bounds(problem, box)
-    theta_bounds = inside_bounds(problem, box, arb(problem["sample_time"]))
+    theta_bounds = disturbance_effects(problem, box, arb(problem["sample_time"]))
     names = ("mean" if is_integrated else "k_p", "k_i", "k_n")
     corners = []
     for vertex, k_p in product(vertices, exact_ends(box["k_p"])):
@@ -209,7 +209,7 @@ def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, theta_bounds:
         problem: The certificate's problem.
         k_p: High-frequency gain [1/s].
         sizes: Bounds of the disturbance and the reference.
-        theta_bounds: Bounds of theta's components, by :func:`inside_bounds`.
+        theta_bounds: Bounds of theta's components, by :func:`disturbance_effects`.
     """
     zeta, memory, n = state_places(problem)
     t = arb(problem["sample_time"])
@@ -223,7 +223,7 @@ def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, theta_bounds:
     return matrix_of_columns(columns)
 
 
-def inside_bounds(problem: Problem, box: Box, time: arb) -> list[arb]:
+def disturbance_effects(problem: Problem, box: Box, time: arb) -> list[arb]:
     """Bounds of the components of theta(t), the effect that d_r's change since the sample has at a time t, (n,).
 
     At a time r d_r has changed by D r at most, and acts through exp(F r) k_p b with a unit column b along e'. So a

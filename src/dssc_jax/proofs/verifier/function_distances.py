@@ -7,6 +7,7 @@ reach at points by more than a small share.
 """
 
 import math
+from collections.abc import Sequence
 from functools import reduce
 from operator import add
 from typing import NamedTuple
@@ -79,19 +80,15 @@ def function_distances(
     pieces = [(sigma_from, sigma)]
     remaining = MOST_PIECES
     while pieces:
-        for low, high in pieces:
-            for point in (middle_of((low, high)), high):
-                for name, distance in distances_at(problem, (point, point), lines).items():
-                    reached[name] = maximum(reached[name], distance.lower())
+        for name, distance in largest_at_points(problem, pieces, lines).items():
+            reached[name] = maximum(reached[name], distance)
+        limits = {name: reached[name] * (1 + rooms[name]) + rounding[name] for name in DISTANCES}
         remaining -= len(pieces)
         wide_pieces = []
         for piece in pieces:
             distances = distances_if_enclosed(problem, piece, lines)
             require_premise(bool(distances) or remaining > 0, "P2: the functions cannot be enclosed in the region")
-            is_close = all(
-                distance.upper() <= reached[name] * (1 + rooms[name]) + rounding[name]
-                for name, distance in distances.items()
-            )
+            is_close = all(distance.upper() <= limits[name] for name, distance in distances.items())
             if not distances or (remaining > 0 and not is_close):
                 wide_pieces.append(piece)
                 continue
@@ -99,6 +96,16 @@ def function_distances(
                 bounds[name] = maximum(bounds[name], distance.upper())
         pieces = [half for piece in wide_pieces for half in halves_of(piece)]
     return bounds
+
+
+def largest_at_points(problem: Problem, pieces: Sequence[SizeInterval], lines: StraightLines) -> Balls:
+    """Lower bounds of the largest distances at the middle and the upper end of each piece of |sigma|, by name."""
+    largest = dict.fromkeys(DISTANCES, arb(0))
+    for low, high in pieces:
+        for point in (middle_of((low, high)), high):
+            for name, distance in distances_at(problem, (point, point), lines).items():
+                largest[name] = maximum(largest[name], distance.lower())
+    return largest
 
 
 def distances_if_enclosed(problem: Problem, size: SizeInterval, lines: StraightLines) -> Balls:

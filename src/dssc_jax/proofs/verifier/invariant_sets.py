@@ -30,7 +30,7 @@ from dssc_jax.proofs.verifier.enclosed_loop import (
     SAMPLE_PIECES,
     Corner,
     command_row,
-    inside_bounds,
+    disturbance_effects,
     sample_corners,
     signal_bounds,
     signal_rows,
@@ -272,7 +272,7 @@ def largest_between_samples(stage_set: StageSet, place: int) -> arb:
     names = ("mean" if stage_set.is_integrated else "k_p", "k_i", "k_n")
     t = arb(problem["sample_time"])
     k_p = interval_ball(*box["k_p"])
-    disturbance_bound = inside_bounds(problem, box, t)[place]
+    disturbance_bound = disturbance_effects(problem, box, t)[place]
     largest = arb(0)
     for flow in flows(generator_over(problem, box), t, SAMPLE_PIECES):
         *by_chi, by_u = flow.tolist()[place]

@@ -32,8 +32,8 @@ from dssc_jax.proofs.verifier.balls import (
 from dssc_jax.proofs.verifier.certificate import Box, Problem, SmallGainStage
 from dssc_jax.proofs.verifier.enclosed_loop import (
     command_row,
+    disturbance_effects,
     input_columns,
-    inside_bounds,
     sample_matrix,
     signal_bounds,
     signal_rows,
@@ -121,7 +121,7 @@ def middle_loop(problem: Problem, box: Box, coordinate: str, centre: Balls) -> M
         chi = held_matrix.ncols() - 1
         half_widths = [[*row[:chi], (row[chi] * k_p_high).upper()] for row in held_spread(problem, box)[:chi]]
     sizes = signal_bounds(problem, box)
-    inputs = input_columns(problem, k_p, sizes, inside_bounds(problem, box, arb(problem["sample_time"])))
+    inputs = input_columns(problem, k_p, sizes, disturbance_effects(problem, box, arb(problem["sample_time"])))
     jump = jump_column(problem, arb(problem["sample_time"]) * sizes.slope * k_p_distance)
     return MiddleLoop(
         a=sample_matrix(problem, held_matrix, k_p, gain, is_integrated=is_integrated),

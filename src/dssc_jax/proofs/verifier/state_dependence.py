@@ -14,7 +14,7 @@ from flint import arb
 
 from dssc_jax.proofs.verifier.balls import maximum, total
 from dssc_jax.proofs.verifier.certificate import Box, Problem
-from dssc_jax.proofs.verifier.enclosed_loop import inside_bounds, signal_bounds
+from dssc_jax.proofs.verifier.enclosed_loop import disturbance_effects, signal_bounds
 from dssc_jax.proofs.verifier.held_plant import flows, generator_over, state_places
 
 PIECES = 64
@@ -81,7 +81,7 @@ def motion_bounds(problem: Problem, box: Box, bounds: list[arb]) -> Motion:
     t = arb(problem["sample_time"])
     k_p = arb(box["k_p"][1])
     generator = generator_over(problem, box)
-    disturbance_bounds = inside_bounds(problem, box, t)  # of theta
+    disturbance_bounds = disturbance_effects(problem, box, t)  # of theta
     largest = [arb(0)] * chi  # of each component of chi
     for flow in flows(generator, t, PIECES):
         for i in range(chi):

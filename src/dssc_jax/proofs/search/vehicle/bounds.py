@@ -238,11 +238,25 @@ def checked_bounds(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | Obstac
     return VehicleBounds(vehicle.lines, vehicle.damping, y, implied.rotors, totals)
 
 
-def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool = True) -> VehicleBounds | Obstacle:
-    """Search for the bounds with the smallest |e| in the plane, over several dampings c of drag there.
+def first_damping(problem: VehicleProblem) -> Damping:
+    """The damping of drag that is tried first: ``DAMPING_SHARE`` times k W/M, where W is the wind's speed.
 
-    c is about k_h W/M, the slope of the drag over the vehicle's velocity in the wind W. With a moving reference the
-    reference's speed adds to the wind's.
+    k W/M is about the slope of the drag over the velocity. A moving reference adds its speed to W.
+    """
+    drag_h, drag_z = problem.structure_drag
+    lightest = problem.mass[0]
+    air_speed = math.hypot(*problem.wind)
+    if problem.reference is not None:
+        waves = reference_waves(problem)
+        reference_speed = max(largest_magnitude(derivative(waves[axis])) for axis in ("x", "y"))
+        air_speed = math.hypot(air_speed, reference_speed)
+    k_h = drag_h / lightest
+    k_z = drag_z / lightest
+    return Damping(plane=DAMPING_SHARE * k_h * air_speed, vertical=DAMPING_SHARE * k_z * air_speed)
+
+
+def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool = True) -> VehicleBounds | Obstacle:
+    """Search for the bounds with the smallest |e| in the plane, over several dampings of drag there.
 
     Args:
         problem: The vehicle.
@@ -252,23 +266,15 @@ def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool
     Returns:
         The bounds, or why there are none.
     """
-    wind_h, wind_z = problem.wind
-    k_h, k_z = (k / problem.mass[0] for k in problem.structure_drag)
-    air_speed = math.hypot(wind_h, wind_z)
-    if problem.reference is not None:
-        waves = reference_waves(problem)
-        reference_speed = max(largest_magnitude(derivative(waves[axis])) for axis in ("x", "y"))
-        air_speed = math.hypot(air_speed, reference_speed)
-    first_damping = DAMPING_SHARE * k_h * air_speed
-    vertical_damping = DAMPING_SHARE * k_z * air_speed
+    damping = first_damping(problem)
 
-    def bounds_with(damping: float) -> VehicleBounds | Obstacle:
+    def bounds_with(plane_damping: float) -> VehicleBounds | Obstacle:
         """Bounds that imply themselves, with a damping of drag in the plane [1/s]."""
-        return vehicle_bounds(problem, Damping(damping, vertical_damping), room_factor, from_start=from_start)
+        return vehicle_bounds(problem, damping._replace(plane=plane_damping), room_factor, from_start=from_start)
 
-    best = bounds_with(first_damping)
+    best = bounds_with(damping.plane)
     for step in DAMPING_STEPS:
-        best = with_smaller_error(best, bounds_with(step * first_damping))
+        best = with_smaller_error(best, bounds_with(step * damping.plane))
     if problem.reference is not None and not isinstance(best, Obstacle):
         coarse_damping = best.damping.plane
         for step in FINE_STEPS:

@@ -162,15 +162,15 @@ def apply_map(vehicle: LinearVehicle, deviations: dict[str, ChannelDeviations], 
     """
     problem = vehicle.problem
     totals, couplings = vehicle_totals(vehicle.nominal, y)
-    remainders, rotors = remainders_of(problem, totals, vehicle.damping, couplings=couplings)
-    slopes = signal_slopes(problem, y, remainders, vehicle.damping)
+    remainders = remainders_of(problem, totals, vehicle.damping, couplings=couplings)
+    slopes = signal_slopes(problem, y, remainders.channels, vehicle.damping)
     implied: Signals = {}
     for name in CHANNELS:
         response = vehicle.responses[name]
-        sizes = input_sizes(response, deviations[name], totals[name]["sigma"], remainders[name])
+        sizes = input_sizes(response, deviations[name], totals[name]["sigma"], remainders.channels[name])
         point_bounds = bounds_at_points(problem, name, response, deviations[name], sizes)
         implied[name] = with_slopes(problem, response, point_bounds, slopes[name])
-    return ImpliedBounds(implied, remainders, rotors)
+    return ImpliedBounds(implied, remainders.channels, remainders.rotors)
 
 
 def slides(

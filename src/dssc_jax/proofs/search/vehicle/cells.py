@@ -301,16 +301,18 @@ def cell_fixed_point(
     for _ in range(ITERATIONS):
         totals, couplings = vehicle_totals(search.nominal, y)
         try:
-            remainders, rotors = remainders_of(problem, totals, search.damping, earlier, couplings)
+            remainders = remainders_of(problem, totals, search.damping, earlier, couplings)
         except OutOfRange:
             return None
-        slopes = signal_slopes(problem, y, remainders, search.damping)
+        slopes = signal_slopes(problem, y, remainders.channels, search.damping)
         sizes = {}
         implied = {}
         for name in CHANNELS:
             responses = search.responses[name]
             sigma = totals[name]["sigma"]
-            sizes[name] = input_sizes(responses.response, search.tables[name].at(sigma), sigma, remainders[name])
+            sizes[name] = input_sizes(
+                responses.response, search.tables[name].at(sigma), sigma, remainders.channels[name]
+            )
             rows = from_start[name] + input_effects(responses, inputs[name], sizes[name], is_last=is_last)
             point_bounds = rows.reshape(responses.response.gains.shape[:2])  # (points, signals)
             bounds = with_slopes(problem, responses.response, point_bounds, slopes[name])
@@ -318,7 +320,7 @@ def cell_fixed_point(
         changes = [abs(implied[name][key] / y[name][key] - 1.0) for name in CHANNELS for key in implied[name]]
         y = implied
         if max(changes) <= SETTLED:
-            return CellFixedPoint(y, sizes, rotors)
+            return CellFixedPoint(y, sizes, remainders.rotors)
     return None
 
 
@@ -378,8 +380,8 @@ def slides_in_all_cells(search: CellSearch, cells: list[Signals]) -> bool:
         largest[name] = {key: max(cell[name][key] for cell in cells) for key in cells[0][name]}
     totals, couplings = vehicle_totals(search.nominal, largest)
     try:
-        remainders, _ = remainders_of(search.problem, totals, search.damping, couplings=couplings)
+        remainders = remainders_of(search.problem, totals, search.damping, couplings=couplings)
     except OutOfRange:
         return False
     deviations = {name: search.tables[name].at(totals[name]["sigma"]) for name in CHANNELS}
-    return slides(search.problem, deviations, totals, remainders)
+    return slides(search.problem, deviations, totals, remainders.channels)

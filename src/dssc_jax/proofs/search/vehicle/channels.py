@@ -220,18 +220,26 @@ def yaw_channel(problem: VehicleProblem) -> LinearChannel:
     return builder.channel(problem.channels["psi"])
 
 
-def flow(linear: LinearChannel, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """The exact solution of a channel without remainders after a time t [s]: chi(t) = exp(A_c t) chi(0) + gamma(t) U.
+class Flow(NamedTuple):
+    """The exact solution of a channel without remainders after a time t: chi(t) = exp(A_c t) chi(0) + gamma(t) U.
 
-    Returns:
-        exp(A_c t), shape (m, m), and gamma(t), what a held command 1 adds to chi, shape (m,).
+    Args:
+        phi: exp(A_c t), shape (m, m).
+        gamma: gamma(t), what a held command 1 adds to chi, shape (m,).
     """
+
+    phi: np.ndarray
+    gamma: np.ndarray
+
+
+def flow(linear: LinearChannel, time: float) -> Flow:
+    """The exact solution of a channel without remainders after a time [s]."""
     m = linear.control.size
     generator = np.zeros((m + 1, m + 1))
     generator[:m, :m] = linear.dynamics
     generator[:m, m] = linear.control
     exponential = expm(generator * time)
-    return exponential[:m, :m], exponential[:m, m]
+    return Flow(exponential[:m, :m], exponential[:m, m])
 
 
 def sampled_channel(

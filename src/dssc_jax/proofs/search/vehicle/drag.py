@@ -70,7 +70,9 @@ def drag_of(
     air_speed_z = speed_z + wind_z  # V_z
     air_speed = math.hypot(air_speed_h, air_speed_z)  # V_r
     lightest = problem.mass[0]  # M_-
-    k_h, k_z = (k / lightest for k in problem.structure_drag)
+    drag_h, drag_z = problem.structure_drag
+    k_h = drag_h / lightest
+    k_z = drag_z / lightest
     k_p = problem.propeller_drag
     linear = k_p * rotors.sum / lightest  # k_p o_S/M_-
     s = attitude.tilt

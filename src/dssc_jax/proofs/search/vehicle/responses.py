@@ -110,13 +110,11 @@ def observe_channel(
     rows = np.zeros((len(POINTS), len(names), n))
     direct = np.zeros((len(POINTS), len(names), 2 + len(linear.remainders)))
     force_within = np.zeros((len(POINTS), len(names)))
-    remainder_columns = np.stack(list(linear.remainders.values()), axis=1)
     force = linear.remainders.get("force", np.zeros(m))
     for place, point in enumerate(POINTS):
         time = point * t
         phi, gamma = flow(linear, time)
-        fractions = np.linspace(0.0, 1.0, pieces + 1)  # of the time since the sample, at which a remainder acted
-        acting = [flow(linear, time * fraction)[0] @ remainder_columns for fraction in fractions]
+        columns_within = remainder_effects(linear, time * np.linspace(0.0, 1.0, pieces + 1))
         force_effect = forced_response(linear, force, time)
         for i, (c, d) in enumerate(linear.signals.values()):
             by_command = c @ gamma + d
@@ -124,15 +122,15 @@ def observe_channel(
             rows[place, i] += by_command * step.acting
             # omega_u adds to the command, and T_s omega_q through the sum q
             direct[place, i, :2] = abs(by_command * step.fresh) * np.array([abs(1.0 + t * lines.share), t])
-            direct[place, i, 2:] = time * trapezoid([np.abs(c @ columns) for columns in acting])
+            direct[place, i, 2:] = time * trapezoid([np.abs(c @ columns) for columns in columns_within])
             force_within[place, i] = c @ force_effect
         rows[place, -1] = step.equivalent
         direct[place, -1, :2] = [abs(t * lines.share), t]
-    columns = np.zeros((n, 2 + (pieces + 1) * remainder_columns.shape[1]))
+    columns = np.zeros((n, 2 + (pieces + 1) * len(linear.remainders)))
     columns[:, 0] = step.by_command
     columns[:, 1] = step.by_integral
-    acting_before = [flow(linear, t * piece / pieces)[0] @ remainder_columns for piece in range(pieces + 1)]
-    columns[:m, 2:] = np.concatenate(acting_before, axis=1)
+    columns_before = remainder_effects(linear, t * np.arange(pieces + 1) / pieces)
+    columns[:m, 2:] = np.concatenate(columns_before, axis=1)
     return ChannelObservation(
         step=step,
         names=names,
@@ -143,6 +141,12 @@ def observe_channel(
         force_column=np.append(forced_response(linear, force, t), np.zeros(n - m)),
         force_within=force_within.ravel(),
     )
+
+
+def remainder_effects(linear: LinearChannel, times: np.ndarray) -> list[np.ndarray]:
+    """What an impulse 1 of each remainder makes of chi after each of some times [s], shape (m, remainders) each."""
+    columns = np.stack(list(linear.remainders.values()), axis=1)
+    return [flow(linear, time).phi @ columns for time in times]
 
 
 def integrated_effects(effects: np.ndarray, pieces: int, sample_time: float) -> np.ndarray:
