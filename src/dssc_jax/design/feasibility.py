@@ -9,7 +9,7 @@ from scipy.optimize import differential_evolution
 
 from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError, nearest
-from dssc_jax.design.bounds import LARGEST, Bounds
+from dssc_jax.design.bounds import DISTURBANCE_FIELDS, LARGEST, Bounds
 from dssc_jax.design.certificate import certified
 from dssc_jax.design.practice import practice
 from dssc_jax.design.small_gain import guarantee
@@ -23,8 +23,6 @@ SMALLEST_VALUE = 1e-300  # least objective and residual of which a logarithm is 
 LARGEST_VALUE = 1e300
 MISSED_GOAL_COST = 1e4  # added to the cost of a candidate that misses the goal; all logarithms of objectives are below
 INFEASIBLE_COST = 1e9  # cost of a candidate that cannot be computed
-DISTURBANCE_FIELDS = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
-"""Bounds of the disturbance in (A1)-(A3)."""
 
 
 class Limits(NamedTuple):

@@ -9,7 +9,7 @@ from typing import Annotated, NamedTuple
 
 from dssc_jax.core.numerics import namespace
 from dssc_jax.design.arrays import Numeric, ratio_where
-from dssc_jax.design.bounds import Bounds, derive, non_negative, positive
+from dssc_jax.design.bounds import DISTURBANCE_FIELDS, Bounds, derive, non_negative, positive
 from dssc_jax.design.lyapunov import kappa_1
 from dssc_jax.design.small_gain import Guarantee, guarantee
 from dssc_jax.design.table1 import Parameters
@@ -146,7 +146,7 @@ def command_bounds(p: Parameters, bounds: Bounds, residual_set: Guarantee) -> Co
 
 def determines_command(bounds: Bounds) -> Numeric:
     """Whether the command has bounds: the disturbance is bounded, and the nominal control has no integral."""
-    disturbance = (bounds.k_d1, bounds.k_d2, bounds.k_d3, bounds.k_d4, bounds.k_d5, bounds.alpha_d2, bounds.alpha_d3)
+    disturbance = [getattr(bounds, name) for name in DISTURBANCE_FIELDS]
     is_undisturbed = namespace(*disturbance).logical_not(sum(disturbance) > 0.0)
     has_no_integral = bounds.c_isigma + bounds.c_ie == 0.0
     return ((bounds.alpha_d > 0.0) | is_undisturbed) & has_no_integral

@@ -197,14 +197,30 @@ def fixed_point_from(
         wider: Signals = {}
         for name in CHANNELS:
             wider[name] = {key: inflated_bound(key, value, room_factor) for key, value in implied[name].items()}
-        growth = max(wider[name][key] / y[name][key] for name in CHANNELS for key in wider[name])
-        y = {name: {key: max(value, y[name][key]) for key, value in wider[name].items()} for name in CHANNELS}
+        growth = largest_growth(y, wider)
+        y = larger_bounds(y, wider)
         if growth <= 1.0 + SETTLED:
             return GrownBounds(y, is_fixed_point=True)
         growing = y if vehicle.nominal is None else totals  # the totals are those of the bounds before this step
         if any(growing[name]["sigma"] > LARGEST_GROWTH * regions[name] for name in CHANNELS):
             return GrownBounds(y, is_fixed_point=False)
     return None
+
+
+def largest_growth(before: Signals, after: Signals) -> float:
+    """The largest ratio of a bound to the one before."""
+    ratios = []
+    for name in CHANNELS:
+        ratios += [bound / before[name][key] for key, bound in after[name].items()]
+    return max(ratios)
+
+
+def larger_bounds(first: Signals, second: Signals) -> Signals:
+    """The larger one of two bounds of each signal, by channel and name."""
+    larger: Signals = {}
+    for name in CHANNELS:
+        larger[name] = {key: max(bound, first[name][key]) for key, bound in second[name].items()}
+    return larger
 
 
 def inflated_bound(signal: str, bound: float, room_factor: float) -> float:

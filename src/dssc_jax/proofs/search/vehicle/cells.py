@@ -317,11 +317,19 @@ def cell_fixed_point(
             point_bounds = rows.reshape(responses.response.gains.shape[:2])  # (points, signals)
             bounds = with_slopes(problem, responses.response, point_bounds, slopes[name])
             implied[name] = {key: inflated_bound(key, bound, search.room_factor) for key, bound in bounds.items()}
-        changes = [abs(implied[name][key] / y[name][key] - 1.0) for name in CHANNELS for key in implied[name]]
+        change = largest_change(y, implied)
         y = implied
-        if max(changes) <= SETTLED:
+        if change <= SETTLED:
             return CellFixedPoint(y, sizes, remainders.rotors)
     return None
+
+
+def largest_change(before: Signals, after: Signals) -> float:
+    """The largest relative change of a bound."""
+    changes = []
+    for name in CHANNELS:
+        changes += [abs(bound / before[name][key] - 1.0) for key, bound in after[name].items()]
+    return max(changes)
 
 
 def input_effects(
