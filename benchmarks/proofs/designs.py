@@ -16,7 +16,7 @@ from dssc_jax.proofs.search.box_search import Proof
 from dssc_jax.proofs.search.gains import gain_hull, region_of
 from dssc_jax.proofs.search.programs import BoundedRow
 from dssc_jax.proofs.search.sampled_loop import Step, box_middle, step_of
-from dssc_jax.proofs.search.set_stages import RATES, SIGMA, E, set_stage, setting_of
+from dssc_jax.proofs.search.set_stages import RATES, set_stage, setting_of
 from dssc_jax.proofs.verifier.verdict import verify_proof
 
 FUNCTIONS = ("phi_a", "phi_b", "kappa_a", "kappa_b", "kappa_c", "kappa_d", "gamma", "delta")
@@ -85,7 +85,7 @@ def holds_in(problem: ProofProblem, sigma: float, e: float) -> bool:
         return False
     region = region_of(problem, sigma, e)
     steps = setting.steps(region)
-    rows = [BoundedRow(setting.origin.rows[SIGMA], sigma, 1.0), BoundedRow(setting.origin.rows[E], e, 1.0)]
+    rows = [BoundedRow(setting.origin.rows.sigma, sigma, 1.0), BoundedRow(setting.origin.rows.e, e, 1.0)]
     for share in (min(RATES), 0.01):
         if (found := setting.solve(steps, rows, share, holds_start=False)) is not None:
             proof = Proof(problem.box, [set_stage(found, region, setting)])
@@ -123,7 +123,7 @@ def exact_worst(step: Step) -> float:
     """The l1 norm from the increments of d to e, summed one sample after the other."""
     total, z = 0.0, step.b[:, 0]
     for k in range(LONGEST):
-        part = abs(step.rows[0] @ z)
+        part = abs(step.rows.e @ z)
         total += part
         z = step.a @ z
         if k % 1000 == 999 and np.abs(z).max() <= ENDED * np.abs(step.b[:, 0]).max():

@@ -5,8 +5,8 @@ import pytest
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design import Bounds, Free, certified, check, guarantee, small_gain, synthesise
+from dssc_jax.design.bounds import DISTURBANCE_FIELDS
 from dssc_jax.design.feasibility import (
-    DISTURBANCE_FIELDS,
     RANGES,
     Criterion,
     DesignGoal,

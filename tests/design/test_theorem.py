@@ -21,7 +21,7 @@ from dssc_jax.design import (
     small_gain,
     synthesise,
 )
-from dssc_jax.design.lyapunov import alphas, eigenvalues_of_p, kappa_1, q_coefficients, smallest_of_q, worst_of_q
+from dssc_jax.design.lyapunov import alpha_bounds, eigenvalues_of_p, kappa_1, q_coefficients, smallest_of_q, worst_of_q
 from dssc_jax.design.practice import predictor_pole, proportional_gain, sample_time
 from dssc_jax.design.small_gain import comparison_gains, error_dynamics, guarantee_at, worst_condition
 from dssc_jax.models.controllers.gain_functions import Vgsta
@@ -61,7 +61,7 @@ def test_no_attack_makes_q_indefinite():
         scale = 10 ** rng.uniform(-3, 4, (2, 300)) * (rng.random((2, 300)) > 0.1)
         sigma, e = scale[0] * p.kappa_c / p.kappa_a, scale[1] * p.kappa_c / p.kappa_b
         k_p = rng.choice([bounds.k_min, bounds.k_max, rng.uniform(bounds.k_min, bounds.k_max)], 300)
-        limit = alphas(p, bounds, derive(bounds, p.l0), sigma, e)
+        limit = alpha_bounds(p, bounds, derive(bounds, p.l0), sigma, e)
         shares = rng.choice([-1.0, 1.0, 0.3], (2, 300))
         gain = kappa_1(p, sigma, e)
         found = smallest_of_q(p, k_p, gain, shares[0] * limit.rho_1, shares[1] * limit.rho_2)
@@ -81,7 +81,7 @@ def test_positive_coefficients_are_the_determinant():
     """The polynomial of the proof is det(Q - 2 eps I) at the vertex (rho_1, -rho_2) and k_min."""
     for p, bounds in designs(50, seed=6):
         sigma, e = 0.7 * p.kappa_c / p.kappa_a, 1.3 * p.kappa_c / p.kappa_b
-        limit = alphas(p, bounds, derive(bounds, p.l0), sigma, e)
+        limit = alpha_bounds(p, bounds, derive(bounds, p.l0), sigma, e)
         _, q = matrices(p, bounds.k_min, kappa_1(p, sigma, e), limit.rho_1, -limit.rho_2)
         monomials = (sigma**2, sigma * e, e**2, sigma, e, 1.0)
         polynomial = sum(c * m for c, m in zip(q_coefficients(p, bounds), monomials, strict=True))
@@ -176,9 +176,9 @@ def test_error_dynamics_against_scipy():
         found = error_dynamics(bounds, l0)
         b_m = np.eye(m + 1)[m - 1] if m else np.zeros(1)
         b_sigma = np.eye(m + 1)[m] + b_m
-        assert list(found.spread) == pytest.approx(np.linalg.eigvalsh(expected)[[0, -1]], rel=1e-9)
-        assert found.input == pytest.approx(np.linalg.norm(expected @ b_sigma), rel=1e-9)
-        assert found.reference == pytest.approx(np.linalg.norm(expected @ b_m), abs=1e-12)
+        assert list(found.eigenvalues) == pytest.approx(np.linalg.eigvalsh(expected)[[0, -1]], rel=1e-9)
+        assert found.by_sigma == pytest.approx(np.linalg.norm(expected @ b_sigma), rel=1e-9)
+        assert found.by_reference == pytest.approx(np.linalg.norm(expected @ b_m), abs=1e-12)
 
 
 def test_the_worst_k_p_is_an_end_of_its_interval():
@@ -207,7 +207,7 @@ def test_guarantees_against_the_comparison_system():
             assert found.decay_rate == pytest.approx(-np.linalg.eigvals(matrix).real.max(), rel=1e-9)
             w_eta, w_v = np.linalg.solve(-matrix, drive)
             assert found.zeta == pytest.approx(w_v / np.sqrt(spread.low), rel=1e-9)
-            assert found.x_eta == pytest.approx(w_eta / np.sqrt(eta.spread.low), rel=1e-9)
+            assert found.x_eta == pytest.approx(w_eta / np.sqrt(eta.eigenvalues.low), rel=1e-9)
             assert found.e == pytest.approx(found.zeta / p.phi_b / p.l0, rel=1e-12)
 
 

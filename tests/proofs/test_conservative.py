@@ -11,7 +11,7 @@ import dssc_jax as dj
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.prove import check_certificate, prove
 from dssc_jax.proofs.search.law_spread import StageRegion, law_spreads, middle_gains
-from dssc_jax.proofs.verifier.function_distances import function_distances, increment_error
+from dssc_jax.proofs.verifier.function_distances import StraightLines, function_distances, increment_error
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains, enclosed_start_ratio
 from dssc_jax.proofs.verifier.small_gain import MIDDLE_GAINS
 from dssc_jax.proofs.verifier.verdict import arb, ball_precision, verify_certificate
@@ -132,9 +132,9 @@ def test_functions_are_as_far_from_their_lines_as_the_verifier_says(kind, region
     *_, spread = law_spreads(problem, StageRegion(*region, 1e-3))
     slopes = dict(zip(MIDDLE_GAINS["phi_1"], middle_gains(spread), strict=True))
     with ball_precision():
-        centre = {name: arb(value) for name, value in slopes.items()}
+        lines = StraightLines({name: arb(value) for name, value in slopes.items()})
         distances = {
-            name: float(x) for name, x in function_distances(problem.to_dict(), region[0], region[1], centre).items()
+            name: float(x) for name, x in function_distances(problem.to_dict(), region[0], region[1], lines).items()
         }
     s, e = points(rng, *region)
     s = np.concatenate([s, region[0] * np.geomspace(1e-3, 1.0, 2000), region[0] * np.linspace(0.001, 1.0, 2000)])

@@ -16,6 +16,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_code.certified_premises import certified_premises
 from dssc_jax.proofs.prove_vehicle import prove_vehicle
 from dssc_jax.proofs.search.vehicle.bounds_map import linear_channels
+from dssc_jax.proofs.search.vehicle.channels import Damping, StraightLines
 from dssc_jax.proofs.search.vehicle.deviations import points_of
 from dssc_jax.proofs.search.vehicle.nominal import axis_inputs_of, steady_response
 from dssc_jax.proofs.vehicle_coverage import vehicle_problem_of
@@ -340,13 +341,13 @@ def nominal_samples(content, name, axis, count):
     """e and v of the nominal flight of the mission at the samples, (count, 2): its sines in the search's numbers."""
     vehicle = vehicle_problem_from(content["problem"])
     proofs = content["proof"]["channels"]
-    damping = (proofs["x"]["drag_damping"], proofs["z"]["drag_damping"])
-    slopes = (*proofs[name]["slopes"], proofs[name]["share"])
-    inputs = axis_inputs_of(vehicle, damping[0])[axis]
+    damping = Damping(proofs["x"]["drag_damping"], proofs["z"]["drag_damping"])
+    lines = StraightLines(*proofs[name]["slopes"], proofs[name]["share"])
+    inputs = axis_inputs_of(vehicle, damping.plane)[axis]
     linear = linear_channels(vehicle, damping)[name]
     t = vehicle.sample_time * np.arange(count)
     result = np.zeros((count, 2))
     for frequency in inputs.frequencies:
-        state = steady_response(vehicle, name, linear, slopes, inputs, frequency).state[:2]
+        state = steady_response(vehicle, name, linear, lines, inputs, frequency).state[:2]
         result += np.real(np.exp(2j * np.pi * float(frequency) * t)[:, None] * state)
     return result

@@ -12,6 +12,8 @@ from dssc_jax.core.zero_dynamics import ZeroDynamics, require_hurwitz
 from dssc_jax.design.arrays import Numeric
 
 LARGEST = 1e30  # numbers beyond it, or below its inverse, overflow in products of powers
+DISTURBANCE_FIELDS = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
+"""Bounds of the disturbance in (A1)-(A3), fields of :class:`Bounds`."""
 
 Numbers = TypeVar("Numbers", bound=NamedTuple)
 """A NamedTuple of numbers."""

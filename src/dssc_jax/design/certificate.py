@@ -5,7 +5,7 @@ from typing import NamedTuple
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.design.arrays import Numeric
 from dssc_jax.design.bounds import Bounds, Constants, Numbers, derive, in_range, require_plain
-from dssc_jax.design.lyapunov import attack_q, eigenvalues_of_p, functions_are_positive, q_is_positive
+from dssc_jax.design.lyapunov import eigenvalues_of_p, functions_are_positive, q_is_positive, smallest_q_on_grid
 from dssc_jax.design.practice import Practice, practice
 from dssc_jax.design.small_gain import NOTHING, Guarantee, SmallGain, guarantee, small_gain, small_gain_holds
 from dssc_jax.design.table1 import Inequality, InequalityState, Parameters, inequalities
@@ -121,7 +121,7 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
     proved_guarantee = guarantee(p, bounds) if is_q_proved and is_small_gain_proved else NOTHING
     lyapunov = Lyapunov(
         p_smallest=float(eigenvalues_of_p(bounds.k_min, p.eps, p.gamma).low),
-        q_smallest=attack_q(p, bounds),
+        q_smallest=smallest_q_on_grid(p, bounds),
         q_proved=is_q_proved,
         functions_proved=bool(functions_are_positive(p)),
     )

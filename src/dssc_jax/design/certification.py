@@ -44,7 +44,7 @@ class Mark(NamedTuple):
     reason: str
 
 
-class Reach(NamedTuple):
+class CertifiedReach(NamedTuple):
     """How far the theorem certifies a loop as one of its numbers varies.
 
     Args:
@@ -75,7 +75,7 @@ def mark(study: Study) -> Mark:
     return Mark(np.broadcast_to(np.asarray(verdicts, dtype=bool), shape).copy(), "")
 
 
-def reach(study: Study, name: str, values: np.ndarray) -> Reach:
+def reach(study: Study, name: str, values: np.ndarray) -> CertifiedReach:
     """How far Theorem 1 certifies a study as values of one number replace the number's law or value.
 
     The theorem assumes that there are no unmodelled dynamics. A lag mu s W(mu s) u (Section V-A2) depends on u', so it
@@ -91,16 +91,16 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
     if name in study.parameter_names:
         refusal = parameter_refusal(study, name)
         if refusal:
-            return Reach(None, refusal)
+            return CertifiedReach(None, refusal)
     elif section in ACTUATION:
         return actuation_reach(study, name)
     elif name in UNCOVERED or section in UNCOVERED:
         reason = UNCOVERED[name] if name in UNCOVERED else UNCOVERED[section]
-        return Reach(None, f"Theorem 1 does not cover {name}: {reason}")
+        return CertifiedReach(None, f"Theorem 1 does not cover {name}: {reason}")
     return certified_up_to(study, name, np.asarray(values, float))
 
 
-def actuation_reach(study: Study, name: str) -> Reach:
+def actuation_reach(study: Study, name: str) -> CertifiedReach:
     """How far Theorem 1 certifies a study along a number of the unmodelled dynamics: it covers only their absence.
 
     Args:
@@ -109,19 +109,19 @@ def actuation_reach(study: Study, name: str) -> Reach:
     """
     verdict, reason = mark(study.override({"sweep": {}}))
     if verdict is None:
-        return Reach(None, f"Theorem 1 does not apply: {reason}")
+        return CertifiedReach(None, f"Theorem 1 does not apply: {reason}")
     if not verdict:
-        return Reach(None, "Theorem 1 does not certify the loop, not even without unmodelled dynamics")
+        return CertifiedReach(None, "Theorem 1 does not certify the loop, not even without unmodelled dynamics")
     text = "Theorem 1 certifies only the loop without unmodelled dynamics"
     if len(tables_of(study.config, "unmodelled")) > 1:
-        return Reach(None, f"{text}; the chain has other elements than that of {name}")
+        return CertifiedReach(None, f"{text}; the chain has other elements than that of {name}")
     if name.rpartition(".")[2] in LIMITS:
-        return Reach(None, f"{text}; it covers no finite {name}")
+        return CertifiedReach(None, f"{text}; it covers no finite {name}")
     quantity = study.quantities[name]
     vanishes_at_zero = 0.0 in (quantity.above, quantity.at_least)  # such as a time constant
     if not vanishes_at_zero:
-        return Reach(None, f"{text}, whatever {name} is")
-    return Reach(0.0, f"{text}; it covers no {name} > 0")
+        return CertifiedReach(None, f"{text}, whatever {name} is")
+    return CertifiedReach(0.0, f"{text}; it covers no {name} > 0")
 
 
 def parameter_refusal(study: Study, name: str) -> str:
@@ -136,7 +136,7 @@ def parameter_refusal(study: Study, name: str) -> str:
     return ""
 
 
-def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
+def certified_up_to(study: Study, name: str, values: np.ndarray) -> CertifiedReach:
     """How far Theorem 1 certifies a study along a number that it covers.
 
     The cell between the last certified and the first uncertified value is refined.
@@ -149,24 +149,38 @@ def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
     marks_of = marks_over_spread if name == SPREAD else marks_along
     verdicts, reason = marks_of(study, name, values)
     if verdicts is None:
-        return Reach(None, f"Theorem 1 does not apply: {reason}")
+        return CertifiedReach(None, f"Theorem 1 does not apply: {reason}")
     if not verdicts[0]:
-        return Reach(None, f"Theorem 1 does not certify the loop at {name} = {values[0]:g}")
+        return CertifiedReach(None, f"Theorem 1 does not certify the loop at {name} = {values[0]:g}")
     if verdicts.all():
         text = f"Theorem 1 certifies the whole walk, without lag and sampling, to {name} = {values[-1]:g}"
-        return Reach(float(values[-1]), text)
+        return CertifiedReach(float(values[-1]), text)
+    certified_end = refined_end(study, name, values, verdicts)
+    text = f"Theorem 1 certifies the loop, without lag and sampling, as far as {name} = {certified_end:.6g}"
+    return CertifiedReach(certified_end, text)
+
+
+def refined_end(study: Study, name: str, values: np.ndarray, verdicts: np.ndarray) -> float:
+    """The last certified value of a number, from finer and finer values in the cell in which the certificate is lost.
+
+    Args:
+        study: The study.
+        name: Dotted name of the number, or :data:`SPREAD`.
+        values: Values of the number, from its safe end, shape (n,).
+        verdicts: Whether each is certified, shape (n,): the first one is, and not all are.
+    """
+    marks_of = marks_over_spread if name == SPREAD else marks_along
     first_failure = int(np.argmin(verdicts))
     certified_end = values[first_failure - 1]
     failing_end = values[first_failure]
     for _ in range(REFINEMENTS):
         refined_values = np.linspace(certified_end, failing_end, CELL_POINTS)
-        verdicts, _ = marks_of(study, name, refined_values)
-        assert verdicts is not None  # the theorem applies at both ends
-        first_failure = max(1, int(np.argmin(verdicts)))
+        refined_verdicts, _ = marks_of(study, name, refined_values)
+        assert refined_verdicts is not None  # the theorem applies at both ends
+        first_failure = max(1, int(np.argmin(refined_verdicts)))
         certified_end = refined_values[first_failure - 1]
         failing_end = refined_values[first_failure]
-    text = f"Theorem 1 certifies the loop, without lag and sampling, as far as {name} = {certified_end:.6g}"
-    return Reach(float(certified_end), text)
+    return float(certified_end)
 
 
 def marks_along(study: Study, name: str, values: np.ndarray) -> Mark:

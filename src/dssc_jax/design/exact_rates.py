@@ -61,7 +61,8 @@ def rate_slopes(study: Study, template: LoopParams) -> np.ndarray:
 
         def rates(disturbances: jax.Array) -> jax.Array:
             """The y' of every channel, shape (channels,), with these disturbances and no command."""
-            at_commands, at_inputs = tuple(disturbances[:channel_count]), tuple(disturbances[channel_count:])
+            at_commands = tuple(disturbances[:channel_count])
+            at_inputs = tuple(disturbances[channel_count:])
             drive: PlantInput[Signals] = PlantInput(zeros, disturbance=at_commands, wind=None, inputs=at_inputs)
             measurements = plant.measure(template.plant, state, drive)
             return jnp.stack([jnp.asarray(measurement.y_dot, jnp.float64) for measurement in measurements])
@@ -71,7 +72,8 @@ def rate_slopes(study: Study, template: LoopParams) -> np.ndarray:
 
 def shows_rate(study: Study, template: LoopParams, channel: int) -> bool:
     """Whether a channel's sensor passes y' on unchanged: in a trial, a jump of y' arrives at once and in full."""
-    sensor, params = study.loop.sensor[channel], template.sensor[channel]
+    sensor = study.loop.sensor[channel]
+    params = template.sensor[channel]
     key = jax.random.key(0)
     with arithmetic(study.config.loop.precision):
         state = sensor.init(params, Measurement(0.0, 0.0), key)

@@ -9,7 +9,7 @@ from scipy.optimize import differential_evolution
 
 from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError, nearest
-from dssc_jax.design.bounds import LARGEST, Bounds
+from dssc_jax.design.bounds import DISTURBANCE_FIELDS, LARGEST, Bounds
 from dssc_jax.design.certificate import certified
 from dssc_jax.design.practice import practice
 from dssc_jax.design.small_gain import guarantee
@@ -23,8 +23,6 @@ SMALLEST_VALUE = 1e-300  # least objective and residual of which a logarithm is 
 LARGEST_VALUE = 1e300
 MISSED_GOAL_COST = 1e4  # added to the cost of a candidate that misses the goal; all logarithms of objectives are below
 INFEASIBLE_COST = 1e9  # cost of a candidate that cannot be computed
-DISTURBANCE_FIELDS = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
-"""Bounds of the disturbance in (A1)-(A3)."""
 
 
 class Limits(NamedTuple):
@@ -225,7 +223,7 @@ def optimise(
         optimal_free = Free(*map(float, candidate(optimum.x)))
     meets_goal = float(shortfall(synthesise(bounds, optimal_free), bounds, goal)) <= 0.0  # NaN: it does not
     if not meets_goal:
-        raise ConfigError("goal", infeasible(bounds, optimal_free, goal))
+        raise ConfigError("goal", infeasibility_message(bounds, optimal_free, goal))
     return optimal_free
 
 
@@ -267,15 +265,15 @@ def shortfall(p: Parameters, bounds: Bounds, goal: DesignGoal) -> np.ndarray:
     return excess
 
 
-def infeasible(bounds: Bounds, nearest: Free, goal: DesignGoal) -> str:
+def infeasibility_message(bounds: Bounds, nearest_free: Free, goal: DesignGoal) -> str:
     """The message that no design meets the goal, with the guarantee and the sampling period of the nearest design.
 
     Args:
         bounds: The bounds.
-        nearest: Free parameters of the nearest design.
+        nearest_free: Free parameters of the nearest design.
         goal: The goal.
     """
-    p = synthesise(bounds, nearest)
+    p = synthesise(bounds, nearest_free)
     e = float(guarantee(p, bounds).e)
     period = float(practice(p, bounds).sample_time_origin)
     targets = []

@@ -107,17 +107,8 @@ def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFi
     Raises:
         ConfigError: The content is not valid; the message has dotted path, rule and value of the first error.
     """
-    for key in table:
-        if key not in DESIGN_TABLES:
-            raise ConfigError(key, f"unknown name; {nearest(key, DESIGN_TABLES)}")
+    require_design_tables(table, complete)
     name = table.get("name", name)
-    if not isinstance(name, str):
-        raise ConfigError("name", f"must be text, got {name!r}")
-    for key in ("recipe", "goal", "free"):
-        if key in table and "parameters" in table:
-            raise ConfigError(key, "cannot be combined with [parameters]")
-    if complete and not table.keys() & {"parameters", "free", "goal"}:
-        raise ConfigError("", "needs [bounds] and one of [parameters], [free] and [goal]")
     bounds = parsed_numbers(table, Bounds, "bounds")
     with errors_under("bounds"):
         bounds = bounds.prepare()
@@ -130,32 +121,64 @@ def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFi
     is_free_complete = as_table(table.get("free", {}), "free").keys() >= REQUIRED_FREE
     if "goal" not in table and (complete or is_free_complete):
         free = parsed_numbers(table, Free, "free")
-        goal = None
-        at_edges = ()
-    else:
-        if "recipe" in table:
-            raise ConfigError("recipe", "has no meaning where the free parameters are sought; designs are strict then")
-        free, goal, at_edges = searched_parameters(table, bounds)
+        return DesignFile(name, bounds, synthesise(bounds, free, Recipe(recipe)), free, modulation=modulation)
+    if "recipe" in table:
+        raise ConfigError("recipe", "has no meaning where the free parameters are sought; designs are strict then")
+    found = searched_parameters(table, bounds)
     return DesignFile(
         name=name,
         bounds=bounds,
-        parameters=synthesise(bounds, free, Recipe(recipe)),
-        free=free,
-        goal=goal,
+        parameters=synthesise(bounds, found.free),
+        free=found.free,
+        goal=found.goal,
         modulation=modulation,
-        edges=at_edges,
+        edges=found.edges,
     )
 
 
-def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignGoal, tuple[str, ...]]:
+def require_design_tables(table: TomlTable, complete: bool) -> None:
+    """Require the names of a design file, and tables that can stand together.
+
+    Args:
+        table: Content of the file.
+        complete: As in :func:`load_design`.
+
+    Raises:
+        ConfigError: A name is unknown, the design's name is not text, or tables exclude each other or are missing.
+    """
+    for key in table:
+        if key not in DESIGN_TABLES:
+            raise ConfigError(key, f"unknown name; {nearest(key, DESIGN_TABLES)}")
+    name = table.get("name", "")
+    if not isinstance(name, str):
+        raise ConfigError("name", f"must be text, got {name!r}")
+    for key in ("recipe", "goal", "free"):
+        if key in table and "parameters" in table:
+            raise ConfigError(key, "cannot be combined with [parameters]")
+    if complete and not table.keys() & {"parameters", "free", "goal"}:
+        raise ConfigError("", "needs [bounds] and one of [parameters], [free] and [goal]")
+
+
+class FoundParameters(NamedTuple):
+    """Free parameters that were optimised.
+
+    Args:
+        free: The free parameters.
+        goal: The goal.
+        edges: Sentences on parameters at an end of their range.
+    """
+
+    free: Free
+    goal: DesignGoal
+    edges: tuple[str, ...]
+
+
+def searched_parameters(table: TomlTable, bounds: Bounds) -> FoundParameters:
     """Optimise the free parameters that ``[free]`` does not fix, for the goal of ``[goal]``.
 
     Args:
         table: Content of the design file.
         bounds: Its bounds.
-
-    Returns:
-        The free parameters, the goal, and sentences on parameters at an end of their range.
 
     Raises:
         ConfigError: ``[goal]`` or ``[free]`` is not valid, or no design meets the goal.
@@ -178,7 +201,7 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignG
         optimal_free = optimise(bounds, start, goal, ranges)
     except ConfigError as error:
         raise (error.within_path("goal") if error.where.startswith("vary") else error) from None
-    return optimal_free, goal, edges(optimal_free, ranges)
+    return FoundParameters(optimal_free, goal, edges(optimal_free, ranges))
 
 
 def default_criterion(bounds: Bounds) -> str:

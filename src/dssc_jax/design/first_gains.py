@@ -142,15 +142,9 @@ def first_gains(
     Raises:
         ConfigError: The plant has several channels, or there are no such gains for it.
     """
-    if kind not in list(FirstController):
-        raise ConfigError("`kind`", f"must be one of {', '.join(FirstController)}, got '{kind}'")
-    if limit is not None and not limit > 0.0:
-        raise ConfigError("`limit`", f"must be > 0, got {limit:g}")
     sample_time = study.loop.sample_time
-    fastest = math.pi / sample_time
-    if bandwidth is not None and not 0.0 < bandwidth <= MOST_SHARE * fastest:
-        rule = f"must be > 0 and <= {MOST_SHARE:g} pi/T_s = {MOST_SHARE * fastest:.4g} rad/s, got {bandwidth:.4g}"
-        raise ConfigError("`bandwidth`", f"{rule}; sample faster, or ask for less")
+    nyquist = math.pi / sample_time  # [rad/s]
+    require_request(kind, bandwidth, limit, nyquist)
     plant = linearised_plant(study, at)
     actuators = linear_actuators(study)
     problem = DesignProblem(
@@ -162,7 +156,7 @@ def first_gains(
         limit=limit,
     )
     if bandwidth is None:
-        return fastest_design(problem, kind, FIRST_SHARE * fastest)
+        return fastest_design(problem, kind, FIRST_SHARE * nyquist)
     gains = design_at_bandwidth(problem, kind, bandwidth)
     if gains.radius < 1.0:
         return gains
@@ -170,6 +164,27 @@ def first_gains(
     pole = f"largest pole {gains.radius:.4g}"
     rule = f"gives at {bandwidth:.4g} rad/s a sampled loop that is not stable{suffix} ({pole})"
     raise ConfigError("`bandwidth`", f"{rule}; ask for less, or for none to have the first that works")
+
+
+def require_request(kind: str, bandwidth: float | None, limit: float | None, nyquist: float) -> None:
+    """Require a known kind of controller, and a bandwidth and a limit in their ranges.
+
+    Args:
+        kind: Kind of the controller.
+        bandwidth: The bandwidth [rad/s]; None: it is sought.
+        limit: Largest magnitude of the command; None: there is no limit.
+        nyquist: pi/T_s [rad/s].
+
+    Raises:
+        ConfigError: One of them is not.
+    """
+    if kind not in list(FirstController):
+        raise ConfigError("`kind`", f"must be one of {', '.join(FirstController)}, got '{kind}'")
+    if limit is not None and not limit > 0.0:
+        raise ConfigError("`limit`", f"must be > 0, got {limit:g}")
+    if bandwidth is not None and not 0.0 < bandwidth <= MOST_SHARE * nyquist:
+        rule = f"must be > 0 and <= {MOST_SHARE:g} pi/T_s = {MOST_SHARE * nyquist:.4g} rad/s, got {bandwidth:.4g}"
+        raise ConfigError("`bandwidth`", f"{rule}; sample faster, or ask for less")
 
 
 def design_at_bandwidth(problem: DesignProblem, kind: str, bandwidth: float) -> FirstGains:
@@ -337,8 +352,11 @@ def ssc(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
         ConfigError: The plant has another relative degree than two or a negative gain, or the command has no limit.
     """
     del ratio
-    study, limit = problem.study, problem.limit
-    a, b, c = problem.plant.a, problem.plant.b, problem.plant.c
+    study = problem.study
+    limit = problem.limit
+    a = problem.plant.a
+    b = problem.plant.b
+    c = problem.plant.c
     k_p = float(c @ a @ b)  # high-frequency gain of a plant of relative degree two, for which c b = 0
     is_of_degree_two = abs(c @ b) <= SMALL_PRODUCT * (np.abs(c) @ np.abs(b))
     if not is_of_degree_two or not k_p > 0.0:

@@ -152,8 +152,16 @@ def linearised_controller(controller: Component, outputs_count: int, sample_time
 
         slopes_of = jax.jit(jax.jacfwd(flat_sample, argnums=(0, 1)))
         state_slopes, output_slopes = map(np.asarray, slopes_of(second_vector, zero_outputs))
-    a, c = state_slopes[:-1], state_slopes[-1]
-    b, d = output_slopes[:-1], output_slopes[-1]
+    a = state_slopes[:-1]
+    c = state_slopes[-1]
+    b = output_slopes[:-1]
+    d = output_slopes[-1]
+    return without_idle_states(LinearController(a, b, c, d))
+
+
+def without_idle_states(controller: LinearController) -> LinearController:
+    """A controller without the states that do not move, and without those that have no effect on the command."""
+    a, b, c, d = controller
     influences = a != 0.0  # of each state (column) on each next state (row)
     is_driven = np.any(b != 0.0, axis=1)
     is_moving = closure(is_driven, influences.T)

@@ -214,7 +214,8 @@ def actuators_at_sample(actuators: LinearActuators, sample_time: float) -> Actua
 
     The matrices are derivatives of the actuators' functions, which are the same at every state.
     """
-    model, params = actuators.model, actuators.params
+    model = actuators.model
+    params = actuators.params
     if model is None:  # v = u, without a state
         return ActuatorsAtSample(
             state=np.zeros((0, 0)),
@@ -256,5 +257,9 @@ def as_arrays(system: LinearSystem | None, order: int) -> SystemArrays:
     """
     if system is None:
         return SystemArrays(np.zeros((order, order)), np.zeros(order), np.zeros(order), 1.0)
-    a, b, c = (np.asarray(part, float) for part in system[:3])
-    return SystemArrays(a, b, c, float(system.d))
+    return SystemArrays(
+        a=np.asarray(system.a, float),
+        b=np.asarray(system.b, float),
+        c=np.asarray(system.c, float),
+        d=float(system.d),
+    )

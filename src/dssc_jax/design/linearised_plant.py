@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.closed_loop.readings import STATE
 from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.named import signals_in
 from dssc_jax.core.numerics import arithmetic, as_vector
 from dssc_jax.core.setting import NominalPlant
-from dssc_jax.core.signals import PlantInput, Scalar
+from dssc_jax.core.signals import Params, PlantInput, Scalar
 from dssc_jax.study.fitting import COMMAND_DISTURBANCE
 from dssc_jax.study.laws import nominal_params
 from dssc_jax.study.study import Study
@@ -101,35 +102,11 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
     Raises:
         ConfigError: The plant has several channels, or no derivative; or no equilibrium with this output is found.
     """
+    require_one_command(study)
     loop = study.loop
-    place = f"{study.source}: plant.kind"
-    if len(loop.channels) > 1:
-        raise ConfigError(place, "first gains are those of a plant with one command")
-    if loop.plant.begin is not None:
-        rule = f"keeps its state outside of JAX ({loop.plant.native}), so it has no derivative"
-        raise ConfigError(place, f"{rule}; first gains need a linear plant near it, such as kind = 'state_space'")
     params = nominal_params(study.template).plant
     with arithmetic():
-        start, unravel = as_vector(loop.plant.init(params))
-        quiet = jnp.zeros(1 + len(quiet_inputs(loop.plant, params)))
-
-        def slope(x: jax.Array, u: Scalar, disturbances: jax.Array = quiet) -> jax.Array:
-            """Rate of change of the state, for a disturbance at the command and at each named input."""
-            drive = PlantInput(u, disturbance=disturbances[0], wind=None, inputs=tuple(disturbances[1:]))
-            rate_of_change, _ = ravel_pytree(loop.plant.derivative(params, unravel(x), drive, 0.0))
-            return rate_of_change
-
-        def outputs(x: jax.Array, u: Scalar) -> jax.Array:
-            """The output y, then y' and the measured signals."""
-            state = unravel(x)
-            drive = PlantInput(u, disturbance=0.0, wind=None, inputs=tuple(quiet[1:]))
-            measurement = loop.plant.measure(params, state, drive)
-            values = {"y": measurement.y, "y_dot": measurement.y_dot}
-            values |= {f"{STATE}{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state), start=1)}
-            if loop.measures:
-                values |= signals_in(loop.plant.monitor(params, state, drive))
-            names = ("y", "y_dot", *(signal.name for signal in loop.measures))
-            return jnp.stack([jnp.asarray(values[name], float) for name in names])
+        start, quiet, slope, outputs = plant_functions(loop, params)
 
         def output(x: jax.Array, u: Scalar) -> jax.Array:
             """The output y."""
@@ -168,6 +145,68 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
     )
 
 
+def require_one_command(study: Study) -> None:
+    """Require a plant with one command and a derivative.
+
+    Raises:
+        ConfigError: The plant has several channels, or keeps its state outside of JAX.
+    """
+    loop = study.loop
+    place = f"{study.source}: plant.kind"
+    if len(loop.channels) > 1:
+        raise ConfigError(place, "first gains are those of a plant with one command")
+    if loop.plant.begin is not None:
+        rule = f"keeps its state outside of JAX ({loop.plant.native}), so it has no derivative"
+        raise ConfigError(place, f"{rule}; first gains need a linear plant near it, such as kind = 'state_space'")
+
+
+class PlantFunctions(NamedTuple):
+    """A plant as functions of its state x as a vector and of its command u.
+
+    Args:
+        start: x at the start, shape (n,).
+        quiet: Disturbances of 0, at the command and at each named input.
+        slope: (x, u, disturbances) -> x', shape (n,); the disturbances are ``quiet`` unless they are stated.
+        outputs: (x, u) -> the output y, then y' and the measured signals.
+    """
+
+    start: jax.Array
+    quiet: jax.Array
+    slope: Callable[..., jax.Array]
+    outputs: Callable[[jax.Array, Scalar], jax.Array]
+
+
+def plant_functions(loop: Loop, params: Params) -> PlantFunctions:
+    """The functions of a loop's plant.
+
+    Args:
+        loop: The loop, with one command.
+        params: Parameters of its plant, in plain numbers.
+    """
+    start, unravel = as_vector(loop.plant.init(params))
+    quiet = jnp.zeros(1 + len(quiet_inputs(loop.plant, params)))
+
+    def slope(x: jax.Array, u: Scalar, disturbances: jax.Array = quiet) -> jax.Array:
+        """Rate of change of the state, for a disturbance at the command and at each named input."""
+        drive = PlantInput(u, disturbance=disturbances[0], wind=None, inputs=tuple(disturbances[1:]))
+        rate_of_change, _ = ravel_pytree(loop.plant.derivative(params, unravel(x), drive, 0.0))
+        return rate_of_change
+
+    def outputs(x: jax.Array, u: Scalar) -> jax.Array:
+        """The output y, then y' and the measured signals."""
+        state = unravel(x)
+        drive = PlantInput(u, disturbance=0.0, wind=None, inputs=tuple(quiet[1:]))
+        measurement = loop.plant.measure(params, state, drive)
+        values = {"y": measurement.y, "y_dot": measurement.y_dot}
+        values |= {f"{STATE}{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state), start=1)}
+        if loop.measures:
+            values |= signals_in(loop.plant.monitor(params, state, drive))
+        names = ("y", "y_dot", *(signal.name for signal in loop.measures))
+        return jnp.stack([jnp.asarray(values[name], float) for name in names])
+
+    return PlantFunctions(start, quiet, slope, outputs)
+
+
 def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float | None:
     """The command with which a state stays where it is, by Newton's method; None if there is no such command.
 
@@ -189,7 +228,7 @@ def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.
             return None
         command -= float(effect @ rate) / size  # least squares
     residual = np.abs(np.asarray(rate_of(command), float))
-    slopes, effect = (np.asarray(part) for part in jax.jit(jax.jacfwd(slope, argnums=(0, 1)))(start, command))
+    slopes, effect = map(np.asarray, jax.jit(jax.jacfwd(slope, argnums=(0, 1)))(start, command))
     terms = np.abs(slopes) @ np.abs(np.asarray(start)) + np.abs(effect * command)
     is_at_rest = np.all(residual <= np.maximum(AT_REST * initial_rate, ROUNDING * terms))
     return command if is_at_rest else None
@@ -218,7 +257,8 @@ def equilibrium(
     @jax.jit
     def excess(point: jax.Array, y: Scalar) -> jax.Array:
         """Rate of change x' and deviation of the output from y, which both vanish at the equilibrium (x, u)."""
-        x, u = point[:-1], point[-1]
+        x = point[:-1]
+        u = point[-1]
         return jnp.append(slope(x, u), output(x, u) - y)
 
     slopes = jax.jit(jax.jacfwd(excess))

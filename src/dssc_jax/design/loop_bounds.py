@@ -16,6 +16,7 @@ from dssc_jax.core.normal_form import NormalForm, RealisedSystem, normal_form, t
 from dssc_jax.core.zero_dynamics import ZeroDynamics
 from dssc_jax.design import Bounds, Parameters
 from dssc_jax.design.arrays import Numeric, greater
+from dssc_jax.design.bounds import DISTURBANCE_FIELDS
 from dssc_jax.design.ends import Ends, ends_of
 from dssc_jax.design.practice import predictor_pole
 from dssc_jax.models.controllers.dssc import DSSC
@@ -257,14 +258,24 @@ def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Numeric]:
         amplitude = ends.largest("amplitude")
         return {"alpha_d": amplitude, "alpha_d3": swing(amplitude, low.period, order=1)}
     if model is SPLINE:
-        pairs = zip(low.knots, ends.high.knots, strict=True)
-        largest_knots = [0.0, *(np.maximum(np.abs(a), np.abs(b)) for a, b in pairs), 0.0]  # it begins and ends at 0
-        largest_steps = np.add(largest_knots[1:], largest_knots[:-1])  # between knots of opposite signs
-        return {"alpha_d": np.max(largest_knots, axis=0), "alpha_d3": np.max(largest_steps, axis=0) / low.interval}
+        return spline_bounds(ends)
     if model is PARTITION:
-        names = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
-        return {name: getattr(ends.high, name) for name in names}
+        return {name: getattr(ends.high, name) for name in DISTURBANCE_FIELDS}
     raise NotCovered("the disturbance's derivative has no known bound")
+
+
+def spline_bounds(ends: Ends) -> dict[str, Numeric]:
+    """The constants of a spline, whose slope between two knots is at most their difference over the interval.
+
+    Args:
+        ends: Its parameters at both ends of their laws.
+    """
+    largest_knots: list[Numeric] = [0.0]  # it begins and ends at 0
+    for low, high in zip(ends.low.knots, ends.high.knots, strict=True):
+        largest_knots.append(np.maximum(np.abs(low), np.abs(high)))
+    largest_knots.append(0.0)
+    largest_steps = np.add(largest_knots[1:], largest_knots[:-1])  # between knots of opposite signs
+    return {"alpha_d": np.max(largest_knots, axis=0), "alpha_d3": np.max(largest_steps, axis=0) / ends.low.interval}
 
 
 def nominal_bounds(ends: Ends, p: Parameters, reference: dict[str, Numeric]) -> dict[str, Numeric]:

@@ -22,7 +22,7 @@ GAIN_POINTS = 5
 """Values of k_p in this search."""
 
 
-class Spread(NamedTuple):
+class EigenvalueRange(NamedTuple):
     """Smallest (``low``) and largest (``high``) eigenvalue of a positive definite matrix."""
 
     low: Numeric
@@ -34,7 +34,7 @@ class Spread(NamedTuple):
         return self.high / self.low
 
 
-def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Spread:
+def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> EigenvalueRange:
     """Smallest and largest eigenvalue of P; the smallest is NaN unless P > 0, that is gamma k_p > 4 eps^2.
 
     The smallest is the determinant divided by the largest, a quotient in which no digits cancel.
@@ -43,7 +43,7 @@ def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Spread:
     root = ((p_11 - 1.0) ** 2 + 16.0 * eps**2) ** 0.5
     high = 0.5 * (p_11 + 1.0 + root)
     determinant = p_11 - 4.0 * eps**2
-    return Spread(ratio_where(determinant > 0.0, determinant, high), high)
+    return EigenvalueRange(ratio_where(determinant > 0.0, determinant, high), high)
 
 
 def norm_of_pb(eps: Numeric) -> Numeric:
@@ -51,14 +51,14 @@ def norm_of_pb(eps: Numeric) -> Numeric:
     return (1.0 + 4.0 * eps**2) ** 0.5
 
 
-class Alphas(NamedTuple):
+class AlphaBounds(NamedTuple):
     """Bounds rho_1 and rho_2 of |alpha_1| and |alpha_2|, by which disturbances enter Q (Appendix E)."""
 
     rho_1: Numeric
     rho_2: Numeric
 
 
-def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, e: Numeric) -> Alphas:
+def alpha_bounds(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, e: Numeric) -> AlphaBounds:
     """The bounds rho_1 and rho_2 at (sigma, e); the article omits k_p on the integral terms of rho_2.
 
     Args:
@@ -70,7 +70,7 @@ def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, 
     """
     beta_1_over_sigma = constants.kd1_bar * abs(e) + constants.kd2_bar * abs(sigma) + constants.kd3_bar
     beta_2_over_sigma = constants.k_sigma + bounds.k_max * (bounds.c_isigma * abs(sigma) + bounds.c_ie * abs(e))
-    return Alphas(beta_1_over_sigma / p.phi_b, beta_2_over_sigma / p.phi_b**2)
+    return AlphaBounds(beta_1_over_sigma / p.phi_b, beta_2_over_sigma / p.phi_b**2)
 
 
 def kappa_1(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
@@ -115,7 +115,7 @@ def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: N
     The matrix is affine in (alpha_1, alpha_2). So its smallest eigenvalue is concave, and is least at one of the four
     vertices of the rectangle.
     """
-    limit = alphas(p, bounds, derive(bounds, p.l0), sigma, e)
+    limit = alpha_bounds(p, bounds, derive(bounds, p.l0), sigma, e)
     gain = kappa_1(p, sigma, e)
     eigenvalues = [
         smallest_of_q(p, k_p, gain, sign_1 * limit.rho_1, sign_2 * limit.rho_2)
@@ -125,7 +125,7 @@ def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: N
     return xp.stack(xp.broadcast_arrays(*eigenvalues)).min(axis=0)
 
 
-def attack_q(p: Parameters, bounds: Bounds) -> float:
+def smallest_q_on_grid(p: Parameters, bounds: Bounds) -> float:
     """Smallest eigenvalue of Q - 2 eps I that a search over a grid of sigma, e and k_p finds; for plain numbers.
 
     It attacks the proof: a negative value would refute it. |sigma| and |e| range from 0 to 10^6 times the values at
@@ -136,6 +136,19 @@ def attack_q(p: Parameters, bounds: Bounds) -> float:
     e = multiples[None, :, None] * p.kappa_c / p.kappa_b
     k_p = np.linspace(bounds.k_min, bounds.k_max, GAIN_POINTS)
     return float(np.min(worst_of_q(p, bounds, k_p, sigma, e)))
+
+
+class LinearBound(NamedTuple):
+    """A bound ``by_sigma`` |sigma| + ``by_e`` |e| + ``constant``."""
+
+    by_sigma: Numeric
+    by_e: Numeric
+    constant: Numeric
+
+
+def weighted_sum(first_weight: Numeric, first: LinearBound, second_weight: Numeric, second: LinearBound) -> LinearBound:
+    """The sum of two bounds, each times its weight."""
+    return LinearBound(*(first_weight * x + second_weight * y for x, y in zip(first, second, strict=True)))
 
 
 def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
@@ -160,20 +173,25 @@ def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
     k_p = bounds.k_min
     gain = f(k_p, eps, p.gamma)
     p_11 = p.gamma * k_p
-    # coefficients of |sigma|, |e| and 1 in rho_1, rho_2, rho = 2 eps rho_1 + rho_2, and in the linear terms
-    rho_1 = tuple(x / p.phi_b for x in (c.kd2_bar, c.kd1_bar, c.kd3_bar))
-    rho_2 = tuple(x / p.phi_b**2 for x in (bounds.k_max * bounds.c_isigma, bounds.k_max * bounds.c_ie, c.k_sigma))
-    rho_sigma, rho_e, rho_0 = (2.0 * eps * x + y for x, y in zip(rho_1, rho_2, strict=True))
-    linear_sigma, linear_e, linear_0 = (
-        4.0 * eps * p_11 * x + 8.0 * eps**2 * y for x, y in zip(rho_1, rho_2, strict=True)
+    rho_1 = LinearBound(
+        by_sigma=c.kd2_bar / p.phi_b,
+        by_e=c.kd1_bar / p.phi_b,
+        constant=c.kd3_bar / p.phi_b,
     )
+    rho_2 = LinearBound(
+        by_sigma=bounds.k_max * bounds.c_isigma / p.phi_b**2,
+        by_e=bounds.k_max * bounds.c_ie / p.phi_b**2,
+        constant=c.k_sigma / p.phi_b**2,
+    )
+    rho = weighted_sum(2.0 * eps, rho_1, 1.0, rho_2)
+    linear = weighted_sum(4.0 * eps * p_11, rho_1, 8.0 * eps**2, rho_2)  # the subtracted terms with rho_1 and rho_2
     return (
-        gain * p.kappa_a**2 - rho_sigma**2,
-        2.0 * (gain * p.kappa_a * p.kappa_b - rho_sigma * rho_e),
-        gain * p.kappa_b**2 - rho_e**2,
-        2.0 * (gain * p.kappa_a * p.kappa_c - rho_sigma * rho_0) - linear_sigma,
-        2.0 * (gain * p.kappa_b * p.kappa_c - rho_e * rho_0) - linear_e,
-        gain * (p.kappa_c**2 + p.kappa_d) - rho_0**2 - linear_0 - 8.0 * eps**2 * p_11 - 4.0 * eps**2,
+        gain * p.kappa_a**2 - rho.by_sigma**2,
+        2.0 * (gain * p.kappa_a * p.kappa_b - rho.by_sigma * rho.by_e),
+        gain * p.kappa_b**2 - rho.by_e**2,
+        2.0 * (gain * p.kappa_a * p.kappa_c - rho.by_sigma * rho.constant) - linear.by_sigma,
+        2.0 * (gain * p.kappa_b * p.kappa_c - rho.by_e * rho.constant) - linear.by_e,
+        gain * (p.kappa_c**2 + p.kappa_d) - rho.constant**2 - linear.constant - 8.0 * eps**2 * p_11 - 4.0 * eps**2,
     )
 
 

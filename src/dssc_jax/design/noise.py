@@ -106,9 +106,21 @@ def traced_noise(
     return sigma - jnp.mean(sigma)
 
 
+class MeanRates(NamedTuple):
+    """Mean rates of the command u_av at several values of sigma.
+
+    Args:
+        by_noise: Mean rate by the noise, shape (m,) [m/s^2]; negative where it drives sigma outward.
+        by_law: Mean rate by phi_2 of the law, shape (m,) [m/s^2]; positive, since it drives sigma to 0.
+    """
+
+    by_noise: jax.Array
+    by_law: jax.Array
+
+
 @jax.jit
-def mean_rates(functions: Any, l0: Scalar, noise: jax.Array, sigma: jax.Array, dt: Scalar) -> tuple[Scalar, Scalar]:
-    """Mean rates of the command u_av at a constant true sigma and e = sigma/l0: by the noise, and by the law's phi_2.
+def mean_rates(functions: Any, l0: Scalar, noise: jax.Array, sigma: jax.Array, dt: Scalar) -> MeanRates:
+    """Mean rates of the command u_av at several constant true values of sigma, with e = sigma/l0.
 
     Args:
         functions: The state-dependent functions of DSSC.
@@ -116,9 +128,6 @@ def mean_rates(functions: Any, l0: Scalar, noise: jax.Array, sigma: jax.Array, d
         noise: Successive noise of sigma [m/s], shape (n,).
         sigma: True values of sigma [m/s], shape (m,).
         dt: Sampling period [s].
-
-    Returns:
-        Mean rates by the noise and by phi_2 [m/s^2], each of shape (m,).
     """
 
     def rates(sigma: Scalar, noise: Scalar, previous: Scalar) -> tuple[Scalar, Scalar]:
@@ -131,7 +140,7 @@ def mean_rates(functions: Any, l0: Scalar, noise: jax.Array, sigma: jax.Array, d
     present = jnp.stack([noise[1:], -noise[1:]])  # both signs, since the noise is symmetric
     previous = jnp.stack([noise[:-1], -noise[:-1]])
     by_noise, by_law = jax.vmap(lambda value: rates(value, present, previous))(sigma)
-    return jnp.mean(by_noise, axis=(1, 2)), jnp.mean(by_law, axis=(1, 2))
+    return MeanRates(by_noise=jnp.mean(by_noise, axis=(1, 2)), by_law=jnp.mean(by_law, axis=(1, 2)))
 
 
 def noise_drift(study: Study) -> dict[str, Drift]:
@@ -160,8 +169,8 @@ def noise_drift(study: Study) -> dict[str, Drift]:
             noise_std = float(jnp.std(noise))
             if noise_std > 0.0:
                 sigma = noise_std * OFFSETS
-                by_noise, by_law = mean_rates(gains.functions, gains.l0, noise, sigma, loop.sample_time)
-                drifts[name] = rest_drift(noise_std, sigma, np.asarray(by_noise), np.asarray(by_law), gains.l0)
+                rates = mean_rates(gains.functions, gains.l0, noise, sigma, loop.sample_time)
+                drifts[name] = balanced_drift(noise_std, sigma, rates, gains.l0)
     return drifts
 
 
@@ -185,17 +194,17 @@ def noise_warning(study: Study) -> str | None:
     )
 
 
-def rest_drift(noise_std: float, sigma: np.ndarray, by_noise: np.ndarray, by_law: np.ndarray, l0: float) -> Drift:
+def balanced_drift(noise_std: float, sigma: np.ndarray, rates: MeanRates, l0: float) -> Drift:
     """The drift from rates over a grid of sigma: the loop rests at the largest sigma at which the rates balance.
 
     Args:
         noise_std: Standard deviation of the noise of sigma [m/s].
         sigma: Rising grid of sigma, shape (n,) [m/s].
-        by_noise: Mean rate of the command by the noise, shape (n,) [m/s^2]; negative where it drives sigma outward.
-        by_law: Mean rate of the command by phi_2, shape (n,) [m/s^2]; positive, since it drives sigma to 0.
+        rates: Mean rates of the command at these values.
         l0: Error pole [1/s].
     """
-    total = by_noise + by_law
+    by_noise = np.asarray(rates.by_noise)
+    total = by_noise + np.asarray(rates.by_law)
     outward = np.flatnonzero(total < 0.0)
     largest_outward_rate = -float(by_noise.min())
     if not outward.size:
@@ -204,5 +213,5 @@ def rest_drift(noise_std: float, sigma: np.ndarray, by_noise: np.ndarray, by_law
     if i + 1 == sigma.size:
         return Drift(noise_std, largest_outward_rate, error=np.inf)
     share = total[i] / (total[i] - total[i + 1])  # of the logarithmic step from sigma[i], up to the balance
-    rest_sigma = sigma[i] * (sigma[i + 1] / sigma[i]) ** share
-    return Drift(noise_std, largest_outward_rate, error=float(rest_sigma / l0))
+    balanced_sigma = sigma[i] * (sigma[i + 1] / sigma[i]) ** share
+    return Drift(noise_std, largest_outward_rate, error=float(balanced_sigma / l0))

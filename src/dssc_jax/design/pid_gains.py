@@ -58,17 +58,26 @@ def pid(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
         raise ConfigError("plant", f"{rule}, with which this PID rule cannot cross there; {remedy}")
     # the integral part 1 + corner/s lags by atan(corner/omega) at the bandwidth, with the plant by 90 degrees or more
     lag = min(max(0.5 * math.pi + phase, math.atan(ratio)), MOST_LAG)
-    corner = omega * math.tan(lag) if acts_at_rest(plant, omega) else 0.0
-    required_lead = PHASE_MARGIN - math.pi - phase + math.atan(corner / omega)
+    corner = omega * math.tan(lag) if has_gain_at_rest(plant, omega) else 0.0
+    required_lead = lead_for_margin(phase, corner / omega)
     slowest_corner = min(SLOWEST, corner / omega)  # in bandwidths
-    lead_with_slowest = PHASE_MARGIN - math.pi - phase + math.atan(slowest_corner)
     most_required_lead = MOST_LEAD
-    if lead_with_slowest > MOST_LEAD:  # no integral reaches the full margin
+    if lead_for_margin(phase, slowest_corner) > MOST_LEAD:  # no integral reaches the full margin
         most_required_lead += PHASE_MARGIN - LEAST_MARGIN
     if required_lead > most_required_lead:
         raise lead_error(problem, omega, required_lead)
     lead = min(max(required_lead, 0.0), MOST_LEAD)
-    return gains_with_lead(response, omega, corner, lead) | limits(problem)
+    return gains_with_lead(response, omega, corner, lead) | command_limits(problem)
+
+
+def lead_for_margin(phase: float, corner: float) -> float:
+    """Phase lead [rad] that gives the phase margin at the bandwidth; negative if there is more than that margin.
+
+    Args:
+        phase: Phase of the plant at the bandwidth [rad].
+        corner: Corner frequency of the integral part, in bandwidths.
+    """
+    return PHASE_MARGIN - math.pi - phase + math.atan(corner)
 
 
 def lead_error(problem: DesignProblem, omega: float, required_lead: float) -> ConfigError:
@@ -79,7 +88,7 @@ def lead_error(problem: DesignProblem, omega: float, required_lead: float) -> Co
         omega: The bandwidth [rad/s].
         required_lead: The phase lead [rad].
     """
-    if falls_at_rest(problem.actuated_plant, omega):
+    if has_negative_gain_at_rest(problem.actuated_plant, omega):
         rule = "has a negative gain at rest, and the gains of 'pid' are at least 0"
         return ConfigError(f"{problem.study.source}: plant", f"{rule}; turn the command's sign, or ask for 'lqg'")
     degrees = math.degrees(required_lead)
@@ -119,40 +128,41 @@ def gains_with_lead(response: complex, omega: float, corner: float, lead: float)
     return table
 
 
-def limits(problem: DesignProblem) -> TomlTable:
+def command_limits(problem: DesignProblem) -> TomlTable:
     """The limits of the command, as fields of a controller; empty if the design has no limit.
 
     An actuator without a state that saturates earlier narrows the limits of the design.
     """
     if problem.limit is None:
         return {}
-    low, high = -problem.limit, problem.limit
+    low = -problem.limit
+    high = problem.limit
     for element, params in acting_elements(problem.study.table, problem.study.config):
         numbers = nominal_params(params)
         state = element.model.init(numbers)
         has_state = bool(jax.tree.leaves(state))
         if not has_state:
-            low = saturated_end(element.model, numbers, state, low)
-            high = saturated_end(element.model, numbers, state, high)
+            low = passed_command(element.model, numbers, state, low)
+            high = passed_command(element.model, numbers, state, high)
     return {"low": low, "high": high}
 
 
-def saturated_end(model: Unmodelled, params: Params, state: State, end: float) -> float:
+def passed_command(model: Unmodelled, params: Params, state: State, extreme: float) -> float:
     """Largest or smallest command that an actuator without a state passes on: its output where it saturates.
 
     Args:
         model: The actuator.
         params: Its parameters, in plain numbers.
         state: Its empty state.
-        end: Largest or smallest command of the design, which stays if the actuator does not saturate there.
+        extreme: Largest or smallest command of the design, which stays if the actuator does not saturate there.
     """
-    output_at_end = float(model.output(params, state, end))
-    output_beyond = float(model.output(params, state, 2.0 * end))
-    is_saturated = output_at_end == output_beyond
-    return output_at_end if is_saturated else end
+    output = float(model.output(params, state, extreme))
+    output_beyond = float(model.output(params, state, 2.0 * extreme))
+    is_saturated = output == output_beyond
+    return output if is_saturated else extreme
 
 
-def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
+def has_gain_at_rest(plant: LinearPlant, omega: float) -> bool:
     """Whether the plant has a gain at rest; if it has a zero there, an integral would grow without effect.
 
     Args:
@@ -162,7 +172,7 @@ def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
     return abs(plant.response(FAR_BELOW * omega)) > VANISHING * abs(plant.response(omega))
 
 
-def falls_at_rest(plant: LinearPlant, omega: float) -> bool:
+def has_negative_gain_at_rest(plant: LinearPlant, omega: float) -> bool:
     """Whether the plant is stable and its output at rest falls as its command rises.
 
     Args:

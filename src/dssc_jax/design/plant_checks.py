@@ -118,7 +118,7 @@ def plant_findings(study: Study) -> PlantFindings:
     is_inconsistent = False
     random = np.random.default_rng(0)
     with arithmetic():
-        start, examine = start_and_examination(study)
+        start, examine = plant_examination(study)
         for _ in range(POINTS):
             x = start + NEAR * (0.1 + jnp.abs(start)) * random.normal(size=start.shape)
             signals = PUSH * random.normal(size=2 * channel_count + input_count)
@@ -138,14 +138,21 @@ def plant_findings(study: Study) -> PlantFindings:
     )
 
 
-def start_and_examination(
-    study: Study,
-) -> tuple[jax.Array, Callable[[jax.Array, np.ndarray], PlantAtPoint]]:
-    """The plant's state at the start as a vector, and a compiled function that examines the plant at a point.
+class PlantExamination(NamedTuple):
+    """How a plant is examined at a point.
 
-    The function takes a state, shape (states,), and the signals: the commands, the disturbances at the commands, and
-    the disturbances at the named inputs, shape (2 channels + inputs,).
+    Args:
+        start: The plant's state at the start as a vector, shape (states,).
+        examine: (state, signals) -> values and derivatives there, compiled. The signals are the commands, the
+            disturbances at the commands, and those at the named inputs, shape (2 channels + inputs,).
     """
+
+    start: jax.Array
+    examine: Callable[[jax.Array, np.ndarray], PlantAtPoint]
+
+
+def plant_examination(study: Study) -> PlantExamination:
+    """The examination of a study's plant, with the nominal values of its numbers."""
     plant = study.loop.mimo_plant
     channel_count = len(study.loop.channels)
     params = nominal_params(study.template).plant
@@ -200,4 +207,4 @@ def start_and_examination(
             slopes_of_parts=slope_of_parts(x, signals),
         )
 
-    return start, examine
+    return PlantExamination(start, examine)

@@ -9,7 +9,7 @@ from typing import Annotated, NamedTuple
 
 from dssc_jax.core.numerics import namespace
 from dssc_jax.design.arrays import Numeric, ratio_where
-from dssc_jax.design.bounds import Bounds, derive, non_negative, positive
+from dssc_jax.design.bounds import DISTURBANCE_FIELDS, Bounds, derive, non_negative, positive
 from dssc_jax.design.lyapunov import kappa_1
 from dssc_jax.design.small_gain import Guarantee, guarantee
 from dssc_jax.design.table1 import Parameters
@@ -49,13 +49,13 @@ def practice(p: Parameters, bounds: Bounds, proved_guarantee: Guarantee | None =
     """
     residual_set = finite_guarantee(guarantee(p, bounds) if proved_guarantee is None else proved_guarantee)
     gain = proportional_gain(p, residual_set.sigma, residual_set.e)
-    u_av, drift = command_bounds(p, bounds, residual_set)
+    command = command_bounds(p, bounds, residual_set)
     return Practice(
         sample_time_origin=sample_time(bounds.k_max, proportional_gain(p, 0.0, 0.0), predictor_pole(p)),
         sample_time=sample_time(bounds.k_max, gain, predictor_pole(p)),
         proportional_gain=gain,
-        u_av=u_av,
-        drift=drift,
+        u_av=command.u_av,
+        drift=command.drift,
     )
 
 
@@ -104,36 +104,52 @@ def sample_time(k_p: Numeric, gain: Numeric, pole: Numeric) -> Numeric:
     return 2.0 * without_pole / (1.0 + (1.0 + 2.0 * without_pole * pole) ** 0.5)
 
 
-def command_bounds(p: Parameters, bounds: Bounds, residual_set: Guarantee) -> tuple[Numeric, Numeric]:
-    """Bounds of |u_av| [m/s] and of |sigma' + sigma/tau_m| [m/s^2] in the residual set.
+class CommandBounds(NamedTuple):
+    """Bounds of what the modulation rho must dominate in the residual set.
+
+    Args:
+        u_av: Bound of |u_av| [m/s].
+        drift: Bound of |sigma' + sigma/tau_m| [m/s^2].
+    """
+
+    u_av: Numeric
+    drift: Numeric
+
+
+def command_bounds(p: Parameters, bounds: Bounds, residual_set: Guarantee) -> CommandBounds:
+    """Bounds of the averaged control and of the drift in the residual set; NaN where the loop's bounds give none.
 
     By (48) sigma' = -k_p kappa_1 phi_1 + beta_1 + z with |phi_1|, |z| <= zeta, and by (13) k_p u_av = d_sigma - sigma'.
-    Both bounds are NaN if the bounds of the loop do not determine them.
 
     Args:
         p: Parameters of Table 1.
         bounds: Bounds of plant, disturbance, nominal control and reference.
         residual_set: The guarantee, with NaN in place of infinity.
     """
-    b = bounds
-    c = derive(bounds, p.l0)
-    xp = namespace(residual_set.sigma)
+    constants = derive(bounds, p.l0)
     sigma = residual_set.sigma
     e = residual_set.e
-    slope = c.kd1_bar * e + c.kd2_bar * sigma + c.kd3_bar  # bound of |beta_1/sigma|
-    sigma_dot = (b.k_max * kappa_1(p, sigma, e) + 1.0) * residual_set.zeta + slope * sigma  # bound of |sigma'|
-    y_dot = p.l0 * e + sigma + b.y_m_dot  # bound of |y'|
-    sigma_m_dot = b.y_m_ddot + p.l0 * b.y_m_dot  # bound of |sigma_m'|, with sigma_m = y_m' + l0 y_m
-    nominal = b.c_e1 * e + b.c_sigma * sigma + b.c_m  # bound of the nominal control
-    zero_output = output_norm(b) * residual_set.x_eta  # bound of the zero dynamics' output
-    d_sigma = b.k_max * (nominal + b.alpha_d) + (p.l0 + b.a_max) * y_dot + sigma_m_dot + zero_output
-    is_disturbed = sum((b.k_d1, b.k_d2, b.k_d3, b.k_d4, b.k_d5, b.alpha_d2, b.alpha_d3)) > 0.0
-    is_disturbance_known = (b.alpha_d > 0.0) | ~xp.asarray(is_disturbed)
-    has_no_integral = b.c_isigma + b.c_ie == 0.0
-    is_known = is_disturbance_known & has_no_integral
-    u_av = xp.where(is_known, (d_sigma + sigma_dot) / b.k_min, xp.nan)
-    drift = xp.where(is_known, sigma_dot + sigma * predictor_pole(p), xp.nan)
-    return u_av, drift
+    xp = namespace(sigma)
+    beta_1_ratio = constants.kd1_bar * e + constants.kd2_bar * sigma + constants.kd3_bar  # bound of |beta_1/sigma|
+    sigma_dot = (bounds.k_max * kappa_1(p, sigma, e) + 1.0) * residual_set.zeta + beta_1_ratio * sigma
+    y_dot = p.l0 * e + sigma + bounds.y_m_dot  # bound of |y'|
+    sigma_m_dot = bounds.y_m_ddot + p.l0 * bounds.y_m_dot  # bound of |sigma_m'|, with sigma_m = y_m' + l0 y_m
+    nominal = bounds.c_e1 * e + bounds.c_sigma * sigma + bounds.c_m  # bound of the nominal control
+    zero_output = output_norm(bounds) * residual_set.x_eta  # bound of the zero dynamics' output
+    d_sigma = bounds.k_max * (nominal + bounds.alpha_d) + (p.l0 + bounds.a_max) * y_dot + sigma_m_dot + zero_output
+    is_known = determines_command(bounds)
+    return CommandBounds(
+        u_av=xp.where(is_known, (d_sigma + sigma_dot) / bounds.k_min, xp.nan),
+        drift=xp.where(is_known, sigma_dot + sigma * predictor_pole(p), xp.nan),
+    )
+
+
+def determines_command(bounds: Bounds) -> Numeric:
+    """Whether the command has bounds: the disturbance is bounded, and the nominal control has no integral."""
+    disturbance = [getattr(bounds, name) for name in DISTURBANCE_FIELDS]
+    is_undisturbed = namespace(*disturbance).logical_not(sum(disturbance) > 0.0)
+    has_no_integral = bounds.c_isigma + bounds.c_ie == 0.0
+    return ((bounds.alpha_d > 0.0) | is_undisturbed) & has_no_integral
 
 
 def output_norm(bounds: Bounds) -> float:

@@ -9,7 +9,7 @@ from scipy import optimize
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.design.linear_plant import DesignProblem, LinearPlant
-from dssc_jax.design.pid_gains import acts_at_rest, limits
+from dssc_jax.design.pid_gains import command_limits, has_gain_at_rest
 from dssc_jax.models.controllers.linear_quadratic import filter_gain, gain_at_rest, regulator_gain, sampled_system
 
 FILTER_RATIO = 4.0
@@ -38,7 +38,8 @@ def lqg(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
     Raises:
         ConfigError: No weights give these crossovers, or a signal does not move with the disturbance.
     """
-    study, plant = problem.study, problem.bare_plant
+    study = problem.study
+    plant = problem.bare_plant
     nominal = problem.plant.nominal
     rows = nominal.signals if study.loop.measures else nominal.output[None, :]  # of the signals that the filter takes
     dt = plant.sample_time
@@ -64,7 +65,7 @@ def lqg(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
         "signal_std": [float(deviation * size) for size in sizes],
         "disturbance_std": [1.0],
     }
-    return table | limits(problem) | operating_point(problem) | stated_model(problem)
+    return table | command_limits(problem) | operating_point(problem) | stated_model(problem)
 
 
 def signal_sizes(problem: DesignProblem, rows: np.ndarray, state_response: np.ndarray) -> np.ndarray:
@@ -138,7 +139,7 @@ def integral_weight(plant: LinearPlant, corner: float) -> float:
         plant: The sampled plant.
         corner: The corner frequency [rad/s].
     """
-    return corner**2 if acts_at_rest(plant, corner) else 0.0
+    return corner**2 if has_gain_at_rest(plant, corner) else 0.0
 
 
 def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, sample_time: float) -> float:
@@ -197,12 +198,10 @@ def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTa
     weight = regulator_weight(sampled.a, sampled.b, plant.c, omega, dt)
     n = len(plant.a)
     integral = integral_weight(problem.bare_plant, ratio * omega)
-    a, b, state_weight = sampled.a, sampled.b[:, None], np.outer(plant.c, plant.c)
-    if integral > 0.0:  # one more state, the sum of T_s y
-        a = np.block([[a, np.zeros((n, 1))], [dt * plant.c[None, :], np.ones((1, 1))]])
-        b = np.append(b, [[0.0]], axis=0)
-        state_weight = np.block([[state_weight, np.zeros((n, 1))], [np.zeros((1, n)), integral * np.ones((1, 1))]])
-    gains = regulator_gain(a, b, state_weight, weight)
+    if integral > 0.0:
+        gains = integral_regulator_gain(sampled.a, sampled.b, plant.c, weight, integral, dt)
+    else:
+        gains = regulator_gain(sampled.a, sampled.b[:, None], np.outer(plant.c, plant.c), weight)
     feedback = gains[:n]
     signal_gains = gains_of_signals(problem, feedback)
     forward = gain_at_rest(sampled, plant.c, feedback)
@@ -218,7 +217,30 @@ def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTa
         table["k_i"] = k_i
         if problem.limit is not None:
             table["tracking"] = 1.0 / (ratio * omega)
-    return table | limits(problem) | operating_point(problem)
+    return table | command_limits(problem) | operating_point(problem)
+
+
+def integral_regulator_gain(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, command_weight: float, integral: float, sample_time: float
+) -> np.ndarray:
+    """Gains of the regulator of the states and of one more state, the sum of T_s y, shape (n + 1,).
+
+    Args:
+        a: A of the sampled plant, shape (n, n).
+        b: Column of its input, shape (n,).
+        c: Row of y, shape (n,).
+        command_weight: Weight of u^2 beside y^2.
+        integral: Weight of the square of the sum.
+        sample_time: Sample time T_s [s].
+    """
+    n = len(a)
+    no_column = np.zeros((n, 1))
+    no_row = np.zeros((1, n))
+    one = np.ones((1, 1))
+    extended_a = np.block([[a, no_column], [sample_time * c[None, :], one]])
+    extended_b = np.append(b[:, None], [[0.0]], axis=0)
+    state_weight = np.block([[np.outer(c, c), no_column], [no_row, integral * one]])
+    return regulator_gain(extended_a, extended_b, state_weight, command_weight)
 
 
 def gains_of_signals(problem: DesignProblem, feedback: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from dssc_jax.core.numerics import namespace
 from dssc_jax.design.arrays import Numeric, greater, ratio_where
 from dssc_jax.design.bounds import Bounds, Constants, derive
-from dssc_jax.design.lyapunov import Spread, eigenvalues_of_p, norm_of_pb
+from dssc_jax.design.lyapunov import EigenvalueRange, eigenvalues_of_p, norm_of_pb
 from dssc_jax.design.table1 import BOUNDARY_WIDTH, ULPS, Parameters
 
 RESOLVED = 1e-9  # smallest ratio of eigenvalues of P_eta that float64 resolves to a few digits
@@ -28,14 +28,14 @@ class ErrorDynamics(NamedTuple):
     P_eta measures the state x_eta = (eta, e) of zero dynamics and tracking error, which sigma and y_m' drive.
 
     Args:
-        spread: Smallest and largest eigenvalue of P_eta.
-        input: |P_eta B_sigma|, by which sigma acts.
-        reference: |P_eta B_m|, by which y_m' acts.
+        eigenvalues: Smallest and largest eigenvalue of P_eta.
+        by_sigma: |P_eta B_sigma|, by which sigma acts.
+        by_reference: |P_eta B_m|, by which y_m' acts.
     """
 
-    spread: Spread
-    input: Numeric
-    reference: Numeric
+    eigenvalues: EigenvalueRange
+    by_sigma: Numeric
+    by_reference: Numeric
 
 
 def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
@@ -49,7 +49,7 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
         l0: Error pole [1/s]; a number or an array.
     """
     if bounds.zero_dynamics is None:
-        return ErrorDynamics(Spread(1.0 / l0, 1.0 / l0), input=1.0 / l0, reference=0.0 * l0)
+        return ErrorDynamics(EigenvalueRange(1.0 / l0, 1.0 / l0), by_sigma=1.0 / l0, by_reference=0.0 * l0)
     xp = namespace(l0)
     l0 = xp.asarray(l0)
     a = bounds.zero_dynamics.a
@@ -65,15 +65,15 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     rows.append([zero] * m + [-l0])
     matrix = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
     p = lyapunov(matrix)
-    eigenvalues = xp.linalg.eigvalsh(p)  # in rising order
-    low = eigenvalues[..., 0]
-    high = eigenvalues[..., -1]
+    rising_eigenvalues = xp.linalg.eigvalsh(p)
+    low = rising_eigenvalues[..., 0]
+    high = rising_eigenvalues[..., -1]
     p_b_m = p[..., :, m - 1]  # B_m selects the last column of the zero dynamics
     p_b_sigma = p_b_m + p[..., :, m]
     return ErrorDynamics(
-        spread=Spread(xp.where(low > RESOLVED * high, low, xp.nan), high),
-        input=(p_b_sigma**2).sum(axis=-1) ** 0.5,
-        reference=(p_b_m**2).sum(axis=-1) ** 0.5,
+        eigenvalues=EigenvalueRange(xp.where(low > RESOLVED * high, low, xp.nan), high),
+        by_sigma=(p_b_sigma**2).sum(axis=-1) ** 0.5,
+        by_reference=(p_b_m**2).sum(axis=-1) ** 0.5,
     )
 
 
@@ -97,8 +97,9 @@ def lyapunov(matrix: Numeric) -> Numeric:
 
 def worst_condition(p: Parameters, bounds: Bounds) -> Numeric:
     """Largest condition number of P over the interval of k_p, which is attained at one of its ends."""
-    low, high = (eigenvalues_of_p(k_p, p.eps, p.gamma).condition for k_p in (bounds.k_min, bounds.k_max))
-    return greater(low, high)
+    at_k_min = eigenvalues_of_p(bounds.k_min, p.eps, p.gamma)
+    at_k_max = eigenvalues_of_p(bounds.k_max, p.eps, p.gamma)
+    return greater(at_k_min.condition, at_k_max.condition)
 
 
 class SmallGain(NamedTuple):
@@ -127,12 +128,12 @@ def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
     """
     c = derive(bounds, p.l0)
     eta = error_dynamics(bounds, p.l0)
-    common = eta.input * norm_of_pb(p.eps) * eta.spread.condition / p.eps
+    common = eta.by_sigma * norm_of_pb(p.eps) * eta.eigenvalues.condition / p.eps
     derived = (common * (c.kappa_e + c.c_eta_a_eta) * worst_condition(p, bounds)) ** 0.5
     at_k_min = eigenvalues_of_p(bounds.k_min, p.eps, p.gamma)
     at_k_max = eigenvalues_of_p(bounds.k_max, p.eps, p.gamma)
     mixed_ratio = greater(at_k_min.high / at_k_min.low**0.5, at_k_max.high / at_k_max.low**0.5)
-    printed = 0.25 * common * (c.kappa_e_printed + c.c_eta_a_eta) * mixed_ratio / eta.spread.low**0.5
+    printed = 0.25 * common * (c.kappa_e_printed + c.c_eta_a_eta) * mixed_ratio / eta.eigenvalues.low**0.5
     return SmallGain(derived, theorem=2.0 * derived, printed=printed**0.5)
 
 
@@ -161,7 +162,7 @@ class Gains(NamedTuple):
     k_v3: Numeric
 
 
-def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, eigenvalues: Spread) -> Gains:
+def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, eigenvalues: EigenvalueRange) -> Gains:
     """The coefficients of the comparison system, with corrected powers of the eigenvalues.
 
     Args:
@@ -172,11 +173,11 @@ def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, eigenvalue
     """
     pb = norm_of_pb(p.eps)
     return Gains(
-        k_eta1=1.0 / eta.spread.high,
-        k_eta2=eta.input / (p.phi_b * (eta.spread.low * eigenvalues.low) ** 0.5),
-        k_eta3=eta.reference / eta.spread.low**0.5,
+        k_eta1=1.0 / eta.eigenvalues.high,
+        k_eta2=eta.by_sigma / (p.phi_b * (eta.eigenvalues.low * eigenvalues.low) ** 0.5),
+        k_eta3=eta.by_reference / eta.eigenvalues.low**0.5,
         k_v1=p.eps * p.phi_b / eigenvalues.high,
-        k_v2=pb * (c.kappa_e + c.c_eta_a_eta) / (eigenvalues.low * eta.spread.low) ** 0.5,
+        k_v2=pb * (c.kappa_e + c.c_eta_a_eta) / (eigenvalues.low * eta.eigenvalues.low) ** 0.5,
         k_v3=pb / eigenvalues.low**0.5,
     )
 
@@ -269,6 +270,6 @@ def guarantee_at(p: Parameters, bounds: Bounds, c: Constants, eta: ErrorDynamics
         sigma=sigma,
         e=e,
         zeta=zeta,
-        x_eta=w_eta / eta.spread.low**0.5,
+        x_eta=w_eta / eta.eigenvalues.low**0.5,
         order=e * p.phi_b**2,
     )

@@ -23,7 +23,10 @@ class Recipe(StrEnum):
 
 
 class Free(NamedTuple):
-    """The numbers of Table 1 that a designer chooses, and the relative slack of the strict recipe."""
+    """The numbers of Table 1 that a designer chooses, and the relative slack of the strict recipe.
+
+    ``eps`` and ``gamma`` make the matrix P of the Lyapunov function (53); ``eps_1`` stands for the choice of ``gamma``.
+    """
 
     l0: Annotated[Numeric, positive("1/s", "error pole l_0")]
     phi_a: Annotated[Numeric, positive("(m/s)^(1/2)", "square-root part phi_a")]

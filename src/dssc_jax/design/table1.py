@@ -16,7 +16,11 @@ ULPS = 16.0 * 2.0**-52  # a few roundings of the terms that cancel in f
 
 
 class Parameters(NamedTuple):
-    """The parameters of a design: those in the inequalities of Table 1, and the smoothing delta."""
+    """The parameters of a design: those in the inequalities of Table 1, and the smoothing delta.
+
+    ``eps`` and ``gamma`` make the matrix P of the Lyapunov function (53), and ``kappa_a`` to ``kappa_d`` the gain
+    function kappa_1 = (kappa_a |sigma| + kappa_b |e| + kappa_c)^2 + kappa_d (78).
+    """
 
     l0: Annotated[Numeric, positive("1/s", "error pole l_0")]
     phi_a: Annotated[Numeric, positive("(m/s)^(1/2)", "square-root part phi_a")]
@@ -147,12 +151,10 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
     constants = derive(bounds, p.l0)
     k_p = bounds.k_min
     k_max = bounds.k_max
-    at = (k_p, p.eps, p.gamma)
     table = "Table 1"
-    value = f(*at)
-    error = BOUNDARY_WIDTH + f_rounding(*at)  # absolute error of f
-    lyapunov = kappa_c_bound(*at)
-    drift = kappa_d_bound(*at)
+    f_value = f(k_p, p.eps, p.gamma)
+    f_error = f_rounding(k_p, p.eps, p.gamma)
+    error = BOUNDARY_WIDTH + f_error  # absolute, of f and of a boundary
 
     def disturbance_row(name: str, left: Numeric, first: Numeric, second: Numeric) -> Inequality:
         """Row of a bound by the disturbance, in its derived and its printed form; see :func:`over_phi_b`."""
@@ -160,14 +162,14 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
         printed = over_phi_b(first, second, 1.0, p.phi_b)
         return Inequality(name, f"{table}, Appendix F", left, bound=derived, printed_bound=printed)
 
-    distance_from_one = abs(value - 1.0)  # |f - 1|, the divisor in the Lyapunov bound of kappa_c
+    distance_from_one = abs(f_value - 1.0)  # |f - 1|, the divisor in the Lyapunov bound of kappa_c
     return (
         Inequality.as_printed(
             name="f",
             equation=f"{table}: 4 eps k_p (gamma k_p - 4 eps^2) > 1",
-            value=value,
+            value=f_value,
             bound=1.0,
-            rounding=BOUNDARY_WIDTH + f_rounding(*at) / greater(abs(value), 1.0),
+            rounding=BOUNDARY_WIDTH + f_error / greater(abs(f_value), 1.0),
         ),
         Inequality.as_printed(
             name="phi_b",
@@ -179,7 +181,7 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
             name="kappa_c (Lyapunov)",
             equation=f"{table}, (77)",
             value=p.kappa_c,
-            bound=lyapunov,
+            bound=kappa_c_bound(k_p, p.eps, p.gamma),
             rounding=error / greater(distance_from_one, error),
         ),
         disturbance_row("kappa_c (disturbance)", p.kappa_c, constants.kd3_bar, constants.k_sigma),
@@ -195,7 +197,7 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
             name="kappa_d",
             equation=f"{table}, (77)",
             value=p.kappa_d,
-            bound=drift,
-            rounding=error / greater(abs(value), error),
+            bound=kappa_d_bound(k_p, p.eps, p.gamma),
+            rounding=error / greater(abs(f_value), error),
         ),
     )

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import asdict
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 
@@ -78,15 +78,16 @@ def axis_problem_of(study: Study) -> ProofProblem:
         raise NotCovered("the plant is not of the class (5)-(8), which kind = 'normal_form' writes down")
     low, high = ends
     zero_dynamics = low.plant.zero_dynamics
-    level, slope, by_state = disturbance_of(study, ends)
+    disturbance = disturbance_of(study, ends)
     reference_suprema = reference_bounds(loop.reference, ends.part("reference"))  # by name; empty at rest
     lag = sensor_lag(loop.sensor[0], loop.differentiator[0], ends)  # the loop has a single channel
     if reference_suprema and zero_dynamics is not None:
         raise NotCovered("the reference moves, and the plant has zero dynamics")
     if reference_suprema and lag:
         raise NotCovered("the reference moves, and the sensor lags")
-    derivative_names = ("y_m_dot", "y_m_ddot", "y_m_dddot")
-    speed, acceleration, jerk = (float(reference_suprema.get(name, 0.0)) for name in derivative_names)
+    speed = float(reference_suprema.get("y_m_dot", 0.0))
+    acceleration = float(reference_suprema.get("y_m_ddot", 0.0))
+    jerk = float(reference_suprema.get("y_m_dddot", 0.0))
     problem = ProofProblem(
         sample_time=loop.sample_time,
         k_p=(float(low.plant.k_p), float(high.plant.k_p)),
@@ -94,12 +95,12 @@ def axis_problem_of(study: Study) -> ProofProblem:
         zero_a=tuple(map(float, zero_dynamics.a)) if zero_dynamics else (),
         zero_c=tuple(map(float, zero_dynamics.c)) if zero_dynamics else (),
         sensor_lag=lag,
-        level=level,
-        slope=slope,
+        level=disturbance.level,
+        slope=disturbance.slope,
         reference=(speed, acceleration, jerk),
         initial=initial_errors(study, ends),
-        by_state=by_state,
-        reference_size=float(reference_suprema.get("y_m", 0.0)) if any(by_state) else 0.0,
+        by_state=disturbance.by_state,
+        reference_size=float(reference_suprema.get("y_m", 0.0)) if any(disturbance.by_state) else 0.0,
         **unmodelled_of(study, ends),
         **controller_of(study),
     )
@@ -148,11 +149,28 @@ def numbers_in(value: object) -> list[float]:
         items = value.values()
     elif isinstance(value, tuple):
         items = value
-    return [number for item in items for number in numbers_in(item)]
+    numbers: list[float] = []
+    for item in items:
+        numbers += numbers_in(item)
+    return numbers
 
 
-def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float, ...]]:
-    """Bounds of a study's disturbance: of |d| [m/s] and |d'| [m/s^2] without the state, and k_d1 to k_d5 of (30).
+class DisturbanceBounds(NamedTuple):
+    """Bounds of a study's disturbance.
+
+    Args:
+        level: Bound of |d| [m/s], of the part that does not depend on the state.
+        slope: Bound of |d'| [m/s^2], of the same part.
+        by_state: k_d1 to k_d5 of (30), by which the disturbance grows with the state.
+    """
+
+    level: float
+    slope: float
+    by_state: tuple[float, ...]
+
+
+def disturbance_of(study: Study, ends: Ends) -> DisturbanceBounds:
+    """The bounds of a study's disturbance.
 
     A step after t = 0 is refused, since its slope has no bound.
 
@@ -173,7 +191,7 @@ def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float,
     if model is PARTITION:  # without the state a constant plus sines; an amplitude is a slope over omega
         level = float(ends.part("disturbance", 0).largest("value"))
         level += slope * float(ends.high.disturbance[0].period) / (2.0 * math.pi)
-    return level, slope, gains
+    return DisturbanceBounds(level, slope, gains)
 
 
 def sensor_lag(sensor: Sensor, differentiator: Differentiator, ends: Ends) -> float:
@@ -186,7 +204,8 @@ def sensor_lag(sensor: Sensor, differentiator: Differentiator, ends: Ends) -> fl
         raise NotCovered("sigma is measured neither exactly nor through a lag")
     if sensor is IDEAL:
         return 0.0
-    low, high = (end.sensor[0].mu for end in ends)
+    low = ends.low.sensor[0].mu
+    high = ends.high.sensor[0].mu
     if low != high:
         raise NotCovered("the sensor's lag is uncertain")
     return float(low)
@@ -205,7 +224,8 @@ def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
     with jax.enable_x64(True):
         y, y_dot, _ = map(float, study.loop.reference.at(ends.low.reference, 0.0))
     reference_start = (y, y_dot) + (0.0,) * (size - 2)  # eta has no reference
-    low_start, high_start = (with_zeros(map(float, end.plant.initial), size) for end in ends)
+    low_start = with_zeros(map(float, ends.low.plant.initial), size)
+    high_start = with_zeros(map(float, ends.high.plant.initial), size)
     errors = []
     for low, high, reference in zip(low_start, high_start, reference_start, strict=True):
         errors.append((min(low, high) - reference, max(low, high) - reference))
@@ -225,7 +245,8 @@ def unmodelled_of(study: Study, ends: Ends) -> JsonObject:
         NotCovered: The unmodelled dynamics are neither a lag, a transfer function nor a known delay.
     """
     model = study.loop.unmodelled[0]
-    low, high = (end.unmodelled[0] for end in ends)
+    low = ends.low.unmodelled[0]
+    high = ends.high.unmodelled[0]
     no_dynamics = {"numerator": (), "denominator": (), "mu": (0.0, 0.0), "delay": 0.0}
     if model is NO_DYNAMICS:
         return no_dynamics
@@ -236,7 +257,8 @@ def unmodelled_of(study: Study, ends: Ends) -> JsonObject:
     if model in LAGS:
         numerator, denominator = LAGS[model]
     elif model is TRANSFER_FUNCTION:
-        numerator, denominator = (tuple(map(float, coefficients)) for coefficients in (low.numerator, low.denominator))
+        numerator = tuple(map(float, low.numerator))
+        denominator = tuple(map(float, low.denominator))
     else:
         raise NotCovered("the unmodelled dynamics are neither a lag, a transfer function nor a delay")
     return no_dynamics | {"numerator": numerator, "denominator": denominator, "mu": (float(low.mu), float(high.mu))}

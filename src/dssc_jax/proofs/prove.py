@@ -5,7 +5,7 @@ import itertools
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -197,17 +197,17 @@ def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int],
     while pending_boxes:
         _, _, box = heapq.heappop(pending_boxes)
         tried_count += 1
-        result, verdict = proved_box(problem, content, box)
-        if isinstance(result, Proof) and verdict is not None:
-            proofs.append(result)
-            verdicts.append(verdict)
-        elif isinstance(result, Failure):
-            is_point = all(low == high for low, high in box.values())
-            if is_point or tried_count + len(pending_boxes) + 2 > boxes:  # its halves would be too many
-                failures.append(result)
-            else:
-                for half in halves(box, problem):
-                    heapq.heappush(pending_boxes, (-volume(half, problem), next(order), half))
+        result = proved_box(problem, content, box)
+        is_point = all(low == high for low, high in box.values())
+        halves_are_too_many = tried_count + len(pending_boxes) + 2 > boxes
+        if isinstance(result, VerifiedProof):
+            proofs.append(result.proof)
+            verdicts.append(result.verdict)
+        elif is_point or halves_are_too_many:
+            failures.append(result)
+        else:
+            for half in halves(box, problem):
+                heapq.heappush(pending_boxes, (-volume(half, problem), next(order), half))
         if progress is not None:
             progress(tried_count, tried_count + len(pending_boxes))
     return Proved(
@@ -220,9 +220,14 @@ def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int],
     )
 
 
-def proved_box(
-    problem: ProofProblem, content: Mapping[str, object], box: Box
-) -> tuple[Proof | Failure, ProofVerdict | None]:
+class VerifiedProof(NamedTuple):
+    """A proof for one box, and the verdict of the verifier, which accepts it."""
+
+    proof: Proof
+    verdict: ProofVerdict
+
+
+def proved_box(problem: ProofProblem, content: Mapping[str, object], box: Box) -> VerifiedProof | Failure:
     """Search for a proof for one box, and verify it.
 
     If the verifier rejects a stage, the proof with the stages before it is tried. It is a proof, too, with a larger
@@ -232,19 +237,16 @@ def proved_box(
         problem: The loop and its uncertain numbers.
         content: The problem as a certificate holds it.
         box: Intervals of the uncertain numbers.
-
-    Returns:
-        The proof and its verdict; or the failure and None.
     """
     result = prove_box(problem, box)
     if isinstance(result, Failure):
-        return result, None
+        return result
     for count in range(len(result.stages), 0, -1):
         proof = Proof(box, result.stages[:count])
         verdict = verify_proof(content, proof.to_dict())
         if verdict.proved:
-            return proof, verdict
-    return Failure(box, Obstacle.VERIFIER), None
+            return VerifiedProof(proof, verdict)
+    return Failure(box, Obstacle.VERIFIER)
 
 
 def check_certificate(content: object) -> ProofVerdict | VehicleVerdict:

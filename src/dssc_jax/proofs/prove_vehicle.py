@@ -97,15 +97,17 @@ class VehicleProved:
         if self.verdict is None or self.failure:
             return f"Nothing is proved: {self.reason}."
         wind_h, wind_z = self.problem.wind
-        bounds, settled = self.verdict.bounds, self.verdict.settled
+        bounds = self.verdict.bounds
+        settled = self.verdict.settled
         vehicle = ", ".join(["", *vehicle_words(self.problem)])
         ends = ""
         if settled["x"]["e"] < 0.99 * bounds["x"]["e"]:
-            plane, height = digits_above(settled["x"]["e"]), digits_above(settled["z"]["e"])
+            plane = digits_above(settled["x"]["e"])
+            height = digits_above(settled["z"]["e"])
             ends = f" It ends within |e_x|, |e_y| <= {plane} m and |e_z| <= {height} m."
         wind = f"every wind with |w_h| <= {wind_h:g} m/s and |w_z| <= {wind_z:g} m/s that changes as it likes"
-        e_x, e_z, e_psi = (digits_above(bounds[name]["e"]) for name in CHANNELS)
-        errors = f"|e_x|, |e_y| <= {e_x} m, |e_z| <= {e_z} m, |e_psi| <= {e_psi} rad"
+        largest = {name: digits_above(bounds[name]["e"]) for name in CHANNELS}
+        errors = f"|e_x|, |e_y| <= {largest['x']} m, |e_z| <= {largest['z']} m, |e_psi| <= {largest['psi']} rad"
         tilt = f"a tilt of {digits_above(math.degrees(self.verdict.tilt))} degrees"
         rotors = f"between {digits_below(self.verdict.rotor_min)} and {digits_above(self.verdict.rotor_max)} N"
         opening = "For"

@@ -45,11 +45,10 @@ class ProvedReach:
         """The outcome in one sentence."""
         if self.last is None:
             return f"Not proved at the safe end {self.name} = {self.values[0][0]:g}: {self.reason}."
-        alone = ", each value on its own"
+        last_value = f"{self.name} = {self.proved:.4g}, each value on its own"
         if self.refused is None:
-            return f"Proved up to the end, {self.name} = {self.proved:.4g}{alone}. {self.last.statement()}"
-        sentence = f"Proved up to {self.name} = {self.proved:.4g}{alone}; not at {self.refused:.4g}: {self.reason}."
-        return f"{sentence} {self.last.statement()}"
+            return f"Proved up to the end, {last_value}. {self.last.statement()}"
+        return f"Proved up to {last_value}; not at {self.refused:.4g}: {self.reason}. {self.last.statement()}"
 
     def summary(self) -> JsonObject:
         """The outcome as JSON's types."""
@@ -108,7 +107,7 @@ def proved_up_to(
     def proved_at(share: np.ndarray | float) -> bool:
         """Prove the study at a share of the way from the safe end to the far end, and tell whether it is proved."""
         share = float(share)
-        value = safe * (end / safe) ** share if log else safe + share * (end - safe)
+        value = value_between(bounds, share, log=log)
         proof = prove_problem(problem_at(study_at_point, name, value), boxes)
         if isinstance(proof, Proved):
             proof = replace(proof, units=study.units[0])
@@ -135,6 +134,12 @@ def proved_up_to(
     if proved_at(1.0):
         return reach_between(1.0, None)
     return reach_between(*map(float, bisect(proved_at, 0.0, 1.0, HALVINGS)))
+
+
+def value_between(bounds: tuple[float, float], share: float, *, log: bool) -> float:
+    """The value at a share of the way from the first bound to the second, on a linear or a logarithmic scale."""
+    safe, end = bounds
+    return safe * (end / safe) ** share if log else safe + share * (end - safe)
 
 
 def problem_at(study: Study, name: str, value: float) -> AnyProblem:

@@ -70,8 +70,8 @@ def vehicle_problem_of(study: Study) -> VehicleProblem:
     masses = interval_of([end.plant.vehicle.mass for end in ends])
     thrusts = interval_of([end.plant.vehicle.thrust_coefficient for end in ends])
     thrust_ratio = quotient(thrusts, (model.thrust_coefficient, model.thrust_coefficient))  # k_T/k_Tn
-    low_inertia, high_inertia = (end.plant.vehicle.inertia for end in ends)
-    inertia = [interval_of(pair) for pair in zip(low_inertia, high_inertia, strict=True)]  # of J_x, J_y and J_z
+    inertias = zip(ends.low.plant.vehicle.inertia, ends.high.plant.vehicle.inertia, strict=True)
+    inertia = [interval_of(pair) for pair in inertias]  # of J_x, J_y and J_z
     turn_ratios = []  # nu_i = (k_T/k_Tn) J_n,i/J_i of each axis
     for believed, interval in zip(model.inertia, inertia, strict=True):
         turn_ratios.append(product(thrust_ratio, quotient((believed, believed), interval)))
@@ -214,9 +214,11 @@ def with_rounding_room(interval: Interval) -> Interval:
 
 def quotient(a: Interval, b: Interval) -> Interval:
     """The interval of a/b for positive a and b in intervals; exactly 1 for a number over itself."""
-    if a == b and a[0] == a[1]:
+    a_low, a_high = a
+    b_low, b_high = b
+    if a == b and a_low == a_high:
         return ONE
-    return with_rounding_room((a[0] / b[1], a[1] / b[0]))
+    return with_rounding_room((a_low / b_high, a_high / b_low))
 
 
 def product(a: Interval, b: Interval) -> Interval:
@@ -225,7 +227,9 @@ def product(a: Interval, b: Interval) -> Interval:
         return b
     if b == ONE:
         return a
-    return with_rounding_room((a[0] * b[0], a[1] * b[1]))
+    a_low, a_high = a
+    b_low, b_high = b
+    return with_rounding_room((a_low * b_low, a_high * b_high))
 
 
 def delay_of(study: Study, ends: Ends) -> float:

@@ -11,7 +11,7 @@ import dssc_jax.plotting as plotting
 from dssc_jax.analyses.margins.search import CLOCK, Censoring, CriticalDraws, Walk
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity, unit_and_meaning
-from dssc_jax.design.certification import Reach, reach
+from dssc_jax.design.certification import CertifiedReach, reach
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.order import binomial_quantile
@@ -93,7 +93,7 @@ class Margins(Analysis):
     parameter: str
     walk: Walk
     criterion: tuple[str, ...]
-    certificate: Reach
+    certificate: CertifiedReach
     seconds: float = 0.0
     compile_seconds: float = 0.0
     proof: JsonObject | None = None

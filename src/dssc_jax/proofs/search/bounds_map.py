@@ -104,14 +104,15 @@ def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap 
 
 def signal_rows(step: Step, spread: LawSpread, point: LoopPoint) -> np.ndarray:
     """Rows that give the signals from the state z of the middle loop, in the order of their places, (signals, n)."""
-    e, _, sigma, change = step.rows
+    rows = step.rows
     unit = np.eye(step.a.shape[0])
     # u_eq = v + (1 + tau_av/T_s) (v+ - v), where the slide gains hold the factor 1 + tau_av/T_s
-    slide_p, slide_i = (middle(spread.gains[name]) for name in ("slide_p", "slide_i"))
-    equivalent = unit[-2] + slide_p * change + slide_i * sigma
+    slide_p = middle(spread.gains["slide_p"])
+    slide_i = middle(spread.gains["slide_i"])
+    equivalent = unit[-2] + slide_p * rows.change + slide_i * rows.sigma
     if spread.is_integrated:
         equivalent = equivalent + point.gains.k_p * unit[-1]  # v = q + (phi_1/sigma) s
-    return np.concatenate([[change, sigma, e, step.command, equivalent], unit])
+    return np.concatenate([[rows.change, rows.sigma, rows.e, step.command, equivalent], unit])
 
 
 def deviation_row(deviation: Deviation, signals: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.proofs.problem import Box, ProofProblem
-from dssc_jax.proofs.search import bounds_map
+from dssc_jax.proofs.search.bounds_map import CHANGE, ERROR, SIGMA
 from dssc_jax.proofs.search.fixed_point import BoundsStage, from_start, towards_residual
 from dssc_jax.proofs.search.gains import NEAR_ORIGIN, gain_hull, region_of
 from dssc_jax.proofs.search.law_spread import StageRegion
@@ -18,12 +18,9 @@ from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.programs import largest_in_set
 from dssc_jax.proofs.search.sampled_loop import box_middle, signal_sizes, step_of
 from dssc_jax.proofs.search.set_stages import (
-    CHANGE,
     ENOUGH,
     INFLATION,
     RATES,
-    SIGMA,
-    E,
     SetStage,
     Setting,
     excursion,
@@ -77,13 +74,13 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
         return Failure(box, Obstacle.SLIDING)  # rho does not exceed |d_r + f|: nothing is left for sliding
     start_result = from_start(problem, box)
     if not isinstance(start_result, Obstacle):
-        stage, allowed_problem = start_result  # with bounds; the problem with the disturbance that they allow
+        stage = start_result.stage
         limits = StageRegion(
-            sigma=stage.bounds[bounds_map.SIGMA],
-            e=stage.bounds[bounds_map.ERROR],
-            change=stage.bounds[bounds_map.CHANGE],
+            sigma=stage.bounds[SIGMA],
+            e=stage.bounds[ERROR],
+            change=stage.bounds[CHANGE],
         )
-        proof = Proof(box, [stage, *towards_residual(problem, box, limits, limits.e, allowed_problem)])
+        proof = Proof(box, [stage, *towards_residual(problem, box, limits, limits.e, start_result.allowed_problem)])
         return tighter_start(problem, proof)
     needs_more_command = start_result == Obstacle.SLIDING  # bounds imply themselves, but u_eq may exceed rho
     if any(problem.by_state):  # invariant sets cannot bound a disturbance that depends on the state
@@ -108,19 +105,20 @@ def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
     if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
         return proof
     start_error = reached_error(proof.stages[0], setting)
-    if start_error <= LOOSE * excursion(setting.origin, setting.programs.starts, E):
+    if start_error <= LOOSE * excursion(setting.origin, setting.programs.starts, setting.origin.rows.e):
         return proof
     set_proof = proof_by_sets(problem, proof.box)
     if isinstance(set_proof, Failure) or reached_error(set_proof.stages[0], setting) >= start_error:
         return proof
-    return set_proof if smallest_error(set_proof, setting) <= smallest_error(proof, setting) / ENOUGH else proof
+    ends_as_near = smallest_error(set_proof, setting) <= smallest_error(proof, setting) / ENOUGH
+    return set_proof if ends_as_near else proof
 
 
 def reached_error(stage: SetStage | BoundsStage, setting: Setting) -> float:
     """The bound of |e| [m] at the samples, in which a stage keeps the loop or to which it brings it."""
     if isinstance(stage, BoundsStage):
-        return stage.bounds[bounds_map.ERROR]
-    return largest_in_set(np.array(stage.p), setting.origin.rows[E])
+        return stage.bounds[ERROR]
+    return largest_in_set(np.array(stage.p), setting.origin.rows.e)
 
 
 def smallest_error(proof: Proof, setting: Setting) -> float:
@@ -149,7 +147,9 @@ def gains_vary_on_the_way(problem: ProofProblem, box: Box) -> bool:
     setting = setting_of(problem, box)
     if setting is None:
         return False
-    sigma, e = (excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E))
+    rows = setting.origin.rows
+    sigma = excursion(setting.origin, setting.programs.starts, rows.sigma)
+    e = excursion(setting.origin, setting.programs.starts, rows.e)
     return bool(np.isfinite(sigma) and np.isfinite(e)) and len(region_of(problem, sigma, e).pieces) > 1
 
 
@@ -163,25 +163,36 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool)
         box: Intervals of k_p, a_p and 1/mu.
         is_integrated: Whether the state z contains q = v - phi_1 in place of v.
     """
-    if (setting := setting_of(problem, box, is_integrated=is_integrated)) is None:
+    setting = setting_of(problem, box, is_integrated=is_integrated)
+    if setting is None:
         return Failure(box, Obstacle.ORIGIN)
     start_stage = first_set(setting)
     if isinstance(start_stage, Obstacle):
         return Failure(box, start_stage)
     stages = [start_stage]
     for _ in range(SHRINKING):
-        p = np.array(stages[-1].p)
-        sigma = INFLATION * largest_in_set(p, setting.origin.rows[SIGMA])
-        e = INFLATION * largest_in_set(p, setting.origin.rows[E])
-        change = INFLATION * largest_in_set(p, setting.origin.rows[CHANGE])
-        if residual_stages := towards_residual(problem, box, StageRegion(sigma, e, change), e, problem):
+        region = region_of_set(setting, stages[-1])
+        residual_stages = towards_residual(problem, box, region, region.e, problem)
+        if residual_stages:
             return Proof(box, [*stages, *residual_stages])
         # the first set after the start's tries several rates lambda; the sets after it keep the best of them
         shares = RATES if len(stages) == 1 else (stages[-1].rate / setting.speed,)
-        if (next_stage := smaller_set(setting, sigma, e, shares)) is None:
+        next_stage = smaller_set(setting, region.sigma, region.e, shares)
+        if next_stage is None:
             break
         stages.append(next_stage)
     return Proof(box, stages)
+
+
+def region_of_set(setting: Setting, stage: SetStage) -> StageRegion:
+    """The region that every trajectory enters in finite time, since the set of a stage attracts."""
+    p = np.array(stage.p)
+    rows = setting.origin.rows
+    return StageRegion(
+        sigma=INFLATION * largest_in_set(p, rows.sigma),
+        e=INFLATION * largest_in_set(p, rows.e),
+        change=INFLATION * largest_in_set(p, rows.change),
+    )
 
 
 def halves(box: Box, problem: ProofProblem) -> list[Box]:
@@ -198,8 +209,10 @@ def halves(box: Box, problem: ProofProblem) -> list[Box]:
 
     def eigenvalue_change(name: str) -> float:
         """How far the eigenvalues move, in all, from one end of an uncertain number to the other."""
-        low, high = (eigenvalues(box | {name: (end, end)}) for end in box[name])
-        return float(np.abs(high - low).sum())
+        low, high = box[name]
+        at_low = eigenvalues(box | {name: (low, low)})
+        at_high = eigenvalues(box | {name: (high, high)})
+        return float(np.abs(at_high - at_low).sum())
 
     name = max(box, key=eigenvalue_change)
     low, high = box[name]

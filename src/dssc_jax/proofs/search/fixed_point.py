@@ -6,6 +6,7 @@ then keep the signals within h + M y. :mod:`dssc_jax.proofs.verifier.small_gain`
 
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -79,11 +80,23 @@ class BoundsStage:
     level: float
     slope: float
     rate: float
-    gains: list[float]  # in the order of GAIN_NAMES
-    bounds: list[float]  # at CHANGE, SIGMA, ERROR, COMMAND and EQUIVALENT, and of the states from STATES on
+    gains: list[float]
+    bounds: list[float]
     p: list[list[float]]
     coordinate: str
     method: str = "small gain"
+
+
+class FittedBounds(NamedTuple):
+    """Bounds of the signals that imply themselves under the control law of a region.
+
+    Args:
+        mapping: The map y -> h + M y.
+        bounds: Its fixed point y, shape (signals,).
+    """
+
+    mapping: BoundsMap
+    bounds: np.ndarray
 
 
 def fixed_point(origin: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
@@ -101,16 +114,15 @@ def fixed_point(origin: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
     return np.linalg.solve(np.eye(origin.size) - matrix, origin + SMALLEST_BOUND)
 
 
-def bounds_stage(problem: ProofProblem, region: StageRegion, mapping: BoundsMap, bounds: np.ndarray) -> BoundsStage:
+def bounds_stage(problem: ProofProblem, region: StageRegion, fitted: FittedBounds) -> BoundsStage:
     """Put bounds of the signals into the form of a certificate's stage, with a V that bounds the responses' tails.
 
     Args:
         problem: The problem, with bounds of the disturbance including the state's share.
         region: Region in which the gains were taken.
-        mapping: The map whose fixed point the bounds are.
-        bounds: Bounds of the signals, shape (signals,).
+        fitted: The bounds.
     """
-    lost_share, p = decay_of(mapping.step.a)  # of V = z'Pz in a sample
+    lost_share, p = decay_of(fitted.mapping.step.a)  # of V = z'Pz in a sample
     return BoundsStage(
         sigma=float(region.sigma),
         e=float(region.e),
@@ -118,15 +130,15 @@ def bounds_stage(problem: ProofProblem, region: StageRegion, mapping: BoundsMap,
         level=problem.level,
         slope=problem.slope,
         rate=lost_share / problem.sample_time,
-        gains=middle_gains(mapping.spread),
-        bounds=(INFLATION * bounds).tolist(),
+        gains=middle_gains(fitted.mapping.spread),
+        bounds=(INFLATION * fitted.bounds).tolist(),
         p=p.tolist(),
-        coordinate="phi_1" if mapping.spread.is_integrated else "u_av",
+        coordinate="phi_1" if fitted.mapping.spread.is_integrated else "u_av",
     )
 
 
 def allowed_disturbance(
-    problem: ProofProblem, current_problem: ProofProblem, box: Box, mapping: BoundsMap, bounds: np.ndarray
+    problem: ProofProblem, current_problem: ProofProblem, box: Box, fitted: FittedBounds
 ) -> ProofProblem:
     """The problem with bounds of |d| and |d'| that include the state's share, under bounds of the signals.
 
@@ -134,15 +146,14 @@ def allowed_disturbance(
 
     Args:
         problem: The problem, with bounds alpha and alpha' of the disturbance without the state.
-        current_problem: The problem with the level and slope that led to ``bounds``.
+        current_problem: The problem with the level and slope that led to ``fitted``.
         box: Intervals of k_p, a_p and 1/mu.
-        mapping: The map whose fixed point the bounds are.
-        bounds: Bounds of the signals, shape (signals,).
+        fitted: Bounds of the signals.
     """
     k_1, k_2, k_3, k_4, k_5 = problem.by_state  # k_d1 to k_d5
     if not any(problem.by_state):
         return problem
-    e, speed, acceleration = motion_between_samples(current_problem, box, motion_sizes(mapping, bounds))
+    e, speed, acceleration = motion_between_samples(current_problem, box, motion_sizes(fitted))
     reference_rate, reference_acceleration, _ = problem.reference
     y = e + problem.reference_size  # |y| <= |e| + |y_m|, and likewise its derivatives
     y_dot = speed + reference_rate
@@ -154,41 +165,49 @@ def allowed_disturbance(
     return replace(problem, level=float(problem.level + k_4 * y + growth * s), slope=float(problem.slope + slope))
 
 
-def motion_sizes(mapping: BoundsMap, bounds: np.ndarray) -> np.ndarray:
+def motion_sizes(fitted: FittedBounds) -> np.ndarray:
     """Bounds at the samples of |command + d_r| [m/s] and of each state, shape (1 + n,).
 
     They are a little widened, because the verifier encloses what follows from them between the samples.
     """
-    command_bound = mapping.command[:-1] @ bounds + mapping.command[-1]
-    return STATE_ROOM * np.array([command_bound, *bounds[STATES:]])
+    command = fitted.mapping.command
+    command_bound = command[:-1] @ fitted.bounds + command[-1]
+    return STATE_ROOM * np.array([command_bound, *fitted.bounds[STATES:]])
 
 
-def slide_slack(problem: ProofProblem, box: Box, mapping: BoundsMap, bounds: np.ndarray, region: StageRegion) -> float:
+def slide_slack(problem: ProofProblem, box: Box, fitted: FittedBounds, region: StageRegion) -> float:
     """Bound of how far the equivalent control u_eq is from the middle loop's [m/s]; sliding needs room for it.
 
     Args:
         problem: The problem, with bounds of the disturbance.
         box: Intervals of k_p, a_p and 1/mu.
-        mapping: The map whose fixed point the bounds are.
-        bounds: Bounds of the signals, shape (signals,).
+        fitted: Bounds of the signals.
         region: Region in which the gains are taken.
     """
-    change, sigma, constant = mapping.spread.slide
-    slack = change * bounds[CHANGE] + sigma * bounds[SIGMA] + constant
+    spread = fitted.mapping.spread
+    change_bound = fitted.bounds[CHANGE]
+    slack = spread.slide.change * change_bound + spread.slide.sigma * fitted.bounds[SIGMA] + spread.slide.constant
     if problem.form == "implicit":
         return slack
     # in the conservative form the gain of sigma - s is a mean over the sample, and e may add to u_eq
     error_change = 0.0
-    if mapping.spread.slide_e:
-        _, speed, _ = motion_between_samples(problem, box, motion_sizes(mapping, bounds))
-        error_change = problem.sample_time * speed
-    low, high = slide_hull(problem, region[:2], INFLATION * bounds[CHANGE], error_change)
-    centre = middle(mapping.spread.gains["slide_p"])
-    return slack + max(high - centre, centre - low) * bounds[CHANGE] + mapping.spread.slide_e * error_change
+    if spread.slide_e:
+        error_change = problem.sample_time * motion_between_samples(problem, box, motion_sizes(fitted)).speed
+    low, high = slide_hull(problem, region._replace(change=INFLATION * change_bound), error_change)
+    centre = middle(spread.gains["slide_p"])
+    return slack + max(high - centre, centre - low) * change_bound + spread.slide_e * error_change
 
 
-def motion_between_samples(problem: ProofProblem, box: Box, bounds: np.ndarray) -> tuple[float, float, float]:
-    """Bounds of |e| [m], |e'| [m/s] and |e''| [m/s^2] at all times, from bounds at the samples.
+class Motion(NamedTuple):
+    """Bounds at all times of |e| [m], of the speed |e'| [m/s] and of the acceleration [m/s^2]."""
+
+    e: float
+    speed: float
+    acceleration: float
+
+
+def motion_between_samples(problem: ProofProblem, box: Box, bounds: np.ndarray) -> Motion:
+    """Bounds of the error and its derivatives at all times, from bounds at the samples.
 
     The held plant chi' = F chi + G U is followed through a sample at the ends of a_p and 1/mu.
 
@@ -215,35 +234,46 @@ def motion_between_samples(problem: ProofProblem, box: Box, bounds: np.ndarray) 
         corner_acceleration = generator[1, :chi] @ state_bounds + generator[1, chi] * command + disturbance_effect
         acceleration = max(acceleration, corner_acceleration)
     e, speed = largest_motion
-    return float(e), float(speed), float(acceleration)
+    return Motion(float(e), float(speed), float(acceleration))
 
 
-def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProblem] | Obstacle:
-    """Search for bounds of all signals that hold from the start on and imply themselves; the first stage of a proof.
+class StartStage(NamedTuple):
+    """The first stage of a proof, with bounds that hold from the start on.
+
+    Args:
+        stage: The stage.
+        allowed_problem: The problem with the largest disturbance that the bounds allow.
+    """
+
+    stage: BoundsStage
+    allowed_problem: ProofProblem
+
+
+def from_start(problem: ProofProblem, box: Box) -> StartStage | Obstacle:
+    """Search for bounds of all signals that hold from the start on and imply themselves.
 
     The bounds follow from a region, but must lie within it. If they do not, the region grows to hold them. If the
     disturbance that they allow is larger than assumed, its bounds grow, too.
 
     Returns:
-        A stage with the bounds, and the problem with the largest disturbance that they allow; or why there are none:
-        ``GAIN``, ``REGION`` or ``SLIDING``.
+        The first stage of a proof; or why there is none: ``GAIN``, ``REGION`` or ``SLIDING``.
     """
     region = StageRegion(SMALLEST_REGION, SMALLEST_REGION, SMALLEST_REGION)
     current_problem = problem
     for _ in range(ROUNDS):
-        implied = least_bounds(current_problem, box, region, SIGMA, with_start=True)
-        if implied is None:
+        fitted = least_bounds(current_problem, box, region, SIGMA, with_start=True)
+        if fitted is None:
             return Obstacle.GAIN
-        mapping, bounds = implied
-        allowed_problem = allowed_disturbance(problem, current_problem, box, mapping, bounds)
+        bounds = fitted.bounds
+        allowed_problem = allowed_disturbance(problem, current_problem, box, fitted)
         disturbance_fits = (
             allowed_problem.level <= current_problem.level and allowed_problem.slope <= current_problem.slope
         )
-        if disturbance_fits and bounds_fit(problem, region, mapping, INFLATION * bounds):
-            if not keeps_sliding(current_problem, box, mapping, bounds, region):
+        if disturbance_fits and bounds_fit(problem, region, fitted):
+            if not keeps_sliding(current_problem, box, fitted, region):
                 return Obstacle.SLIDING
             region = region._replace(change=max(region.change, INFLATION * float(bounds[CHANGE])))
-            return bounds_stage(current_problem, region, mapping, bounds), allowed_problem
+            return StartStage(bounds_stage(current_problem, region, fitted), allowed_problem)
         sigma, e, change = (GROWTH * bounds[[SIGMA, ERROR, CHANGE]]).tolist()
         region = StageRegion(max(region.sigma, sigma), max(region.e, e), change)
         if not disturbance_fits:
@@ -253,38 +283,38 @@ def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProbl
     return Obstacle.REGION
 
 
-def bounds_fit(problem: ProofProblem, region: StageRegion, mapping: BoundsMap, bounds: np.ndarray) -> bool:
-    """Whether bounds of the signals lie within the region from which they follow.
+def bounds_fit(problem: ProofProblem, region: StageRegion, fitted: FittedBounds) -> bool:
+    """Whether bounds of the signals, widened for the verifier, lie within the region from which they follow.
 
     The region's change of sigma matters only in the implicit form with q, where a deviation depends on it.
     """
+    bounds = INFLATION * fitted.bounds
     sigma_and_error_fit = bounds[SIGMA] <= region.sigma and bounds[ERROR] <= region.e
-    if problem.form == "implicit" and mapping.spread.is_integrated:
+    if problem.form == "implicit" and fitted.mapping.spread.is_integrated:
         return bool(sigma_and_error_fit and bounds[CHANGE] <= region.change)
     return bool(sigma_and_error_fit)
 
 
-def keeps_sliding(problem: ProofProblem, box: Box, mapping: BoundsMap, bounds: np.ndarray, region: StageRegion) -> bool:
+def keeps_sliding(problem: ProofProblem, box: Box, fitted: FittedBounds, region: StageRegion) -> bool:
     """Whether |u_eq - d_r - f| stays within rho - sup |d_r + f| (premise P5); always if the command has no bound.
 
     Args:
         problem: The problem, with bounds of the disturbance.
         box: Intervals of k_p, a_p and 1/mu.
-        mapping: The map whose fixed point the bounds are.
-        bounds: Bounds of the signals, shape (signals,).
+        fitted: Bounds of the signals.
         region: Region in which the gains are taken.
     """
     if problem.rho is None:
         return True
     room = problem.rho - signal_sizes(problem, box).offset  # [m/s]
-    slack = slide_slack(problem, box, mapping, bounds, region)
-    return bool(INFLATION * (bounds[EQUIVALENT] + slack) <= room)
+    slack = slide_slack(problem, box, fitted, region)
+    return bool(INFLATION * (fitted.bounds[EQUIVALENT] + slack) <= room)
 
 
 def least_bounds(
     problem: ProofProblem, box: Box, region: StageRegion, signal: int, *, with_start: bool
-) -> tuple[BoundsMap, np.ndarray] | None:
-    """The smallest bounds of the signals that imply themselves under the control law of a region.
+) -> FittedBounds | None:
+    """The smallest bounds of the signals that imply themselves under the control law of a region; None: there are none.
 
     The law's deviation from a linear one can be bounded in several ways. The way with the smallest bound of ``signal``
     is taken.
@@ -295,18 +325,17 @@ def least_bounds(
         region: Region of sigma and e.
         signal: Place of the signal whose bound is to be small.
         with_start: Whether the bounds hold from the start on; otherwise they bound upper limits (limits superior).
-
-    Returns:
-        The map and its fixed point, the bounds of shape (signals,); None if there are none.
     """
-    candidates = []
+    candidates: list[FittedBounds] = []
     for spread in law_spreads(problem, region):
-        if (mapping := bounds_map(problem, box, spread)) is None:
+        mapping = bounds_map(problem, box, spread)
+        if mapping is None:
             continue
         origin = mapping.forced + mapping.peaks if with_start else mapping.forced
-        if (bounds := fixed_point(origin, mapping.matrix)) is not None:
-            candidates.append((mapping, bounds))
-    return min(candidates, key=lambda candidate: float(candidate[1][signal]), default=None)
+        bounds = fixed_point(origin, mapping.matrix)
+        if bounds is not None:
+            candidates.append(FittedBounds(mapping, bounds))
+    return min(candidates, key=lambda candidate: float(candidate.bounds[signal]), default=None)
 
 
 def towards_residual(
@@ -327,14 +356,11 @@ def towards_residual(
     for number in range(MOST_SHRINKINGS):
         worthwhile_ratio = WORTH if number < SHRINKINGS else FURTHER_WORTH
         region = StageRegion(*np.maximum(ENTERED * INFLATION * np.array(limits), SMALLEST_REGION).tolist())
-        implied = least_bounds(allowed_problem, box, region, ERROR, with_start=False)
-        if implied is None:
+        fitted = least_bounds(allowed_problem, box, region, ERROR, with_start=False)
+        if fitted is None or not fitted.bounds[ERROR] < worthwhile_ratio * error:
             break
-        mapping, bounds = implied
-        if not bounds[ERROR] < worthwhile_ratio * error:
-            break
-        stages.append(bounds_stage(allowed_problem, region, mapping, bounds))
-        allowed_problem = allowed_disturbance(problem, allowed_problem, box, mapping, bounds)
-        limits = StageRegion(*bounds[[SIGMA, ERROR, CHANGE]].tolist())
+        stages.append(bounds_stage(allowed_problem, region, fitted))
+        allowed_problem = allowed_disturbance(problem, allowed_problem, box, fitted)
+        limits = StageRegion(*fitted.bounds[[SIGMA, ERROR, CHANGE]].tolist())
         error = limits.e
     return stages

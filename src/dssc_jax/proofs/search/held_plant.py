@@ -16,7 +16,7 @@ from dssc_jax.proofs.problem import Interval, ProofProblem, middle
 
 
 class HeldSample(NamedTuple):
-    """The plant over a sample with a held command, chi+ = Phi chi + Gamma U.
+    """The plant over a sample, or another time, with a held command: chi+ = Phi chi + Gamma U.
 
     Args:
         phi: Phi, shape (n - 2, n - 2).
@@ -44,19 +44,29 @@ def state_layout(problem: ProofProblem) -> StateLayout:
     return StateLayout(slice(zeta_start, zeta_end), slice(zeta_end, memory_end), memory_end + 2)
 
 
-def companion_form(problem: ProofProblem) -> tuple[np.ndarray, np.ndarray, float]:
-    """G(mu s) in companion form.
+class CompanionForm(NamedTuple):
+    """G(mu s) as a state-space system in companion form.
 
-    Returns:
-        Coefficients a_0 to a_(n-1) of the monic denominator, the output row, and the feedthrough.
+    Args:
+        a: a_0 to a_(n-1), the coefficients of the monic denominator in rising powers, without the leading 1.
+        output: Output row, shape (n,).
+        direct: Feedthrough.
     """
+
+    a: np.ndarray
+    output: np.ndarray
+    direct: float
+
+
+def companion_form(problem: ProofProblem) -> CompanionForm:
+    """G(mu s) in companion form."""
     leading = problem.denominator[-1]
     denominator = np.array(problem.denominator) / leading
     numerator = np.zeros(denominator.size)
     numerator[: len(problem.numerator)] = problem.numerator
     numerator = numerator / leading
     output = numerator[:-1] - numerator[-1] * denominator[:-1]
-    return denominator[:-1], output, float(numerator[-1])
+    return CompanionForm(denominator[:-1], output, float(numerator[-1]))
 
 
 def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -83,18 +93,21 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
         f[1 + order, 1] = 1.0
         f[1 + order, 2 : 2 + order] = np.negative(problem.zero_a)
     if problem.denominator:
-        coefficients, f[1, zeta], g[1] = companion_form(problem)
+        dynamics = companion_form(problem)
+        f[1, zeta] = dynamics.output
+        g[1] = dynamics.direct
         for i in range(zeta.start, zeta.stop - 1):  # mu zeta_i' = zeta_(i+1), and the last one is driven by U
             f[i, i + 1] = rate
-        f[zeta.stop - 1, zeta] = -rate * coefficients
+        f[zeta.stop - 1, zeta] = -rate * dynamics.a
         g[zeta.stop - 1] = rate
     else:  # a weighted sum of the command and of those before it, which zeta holds
-        g[1], *f[1, zeta] = problem.delay_weights
+        g[1] = problem.delay_weights[0]
+        f[1, zeta] = problem.delay_weights[1:]
     return f, g
 
 
 @lru_cache(maxsize=256)
-def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
+def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> HeldSample:
     """The exact solution of chi' = F chi + G U after some time with U held: chi(t) = exp(F t) chi(0) + gamma(t) U.
 
     Args:
@@ -104,11 +117,11 @@ def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[n
         time: t [s].
 
     Returns:
-        exp(F t), shape (n - 2, n - 2), and gamma(t), the integral of exp(F r) G over r from 0 to t, shape (n - 2,).
-        Both are cached, so callers must not change them.
+        Phi = exp(F t) and Gamma = gamma(t), the integral of exp(F r) G over r from 0 to t. Both are cached, so callers
+        must not change them.
     """
     exponential = expm(held_matrix(problem, a_p, rate) * time)
-    return exponential[:-1, :-1], exponential[:-1, -1]
+    return HeldSample(phi=exponential[:-1, :-1], gamma=exponential[:-1, -1])
 
 
 def held_matrix(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:
@@ -121,15 +134,24 @@ def held_matrix(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:
     return generator
 
 
-def sensor_weights(problem: ProofProblem) -> tuple[float, float]:
-    """kappa and lambda of a sensor's lag; both are 0 for an exact sensor.
+class SensorWeights(NamedTuple):
+    """Weights of a sensor's lag, which shows (1 - kappa) y + m with a memory m.
 
-    It shows (1 - kappa) y + m with a memory m, and m+ = lambda m + kappa (1 - lambda) y.
+    Args:
+        kappa: Share of y that the sensor leaves out.
+        decay: lambda, the factor of m in a sample: m+ = lambda m + kappa (1 - lambda) y.
     """
+
+    kappa: float
+    decay: float
+
+
+def sensor_weights(problem: ProofProblem) -> SensorWeights:
+    """The weights of a sensor's lag; both are 0 for an exact sensor."""
     if not problem.sensor_lag:
-        return 0.0, 0.0
-    steps = problem.sample_time / problem.sensor_lag  # T_s/mu_s
-    return float(-np.expm1(-steps) / steps), float(np.exp(-steps))
+        return SensorWeights(0.0, 0.0)
+    ratio = problem.sample_time / problem.sensor_lag  # T_s/mu_s
+    return SensorWeights(kappa=float(-np.expm1(-ratio) / ratio), decay=float(np.exp(-ratio)))
 
 
 def held_matrices(problem: ProofProblem, a_p: float, rate: float) -> HeldSample:
@@ -150,11 +172,11 @@ def with_next_memories(problem: ProofProblem, sample: HeldSample) -> HeldSample:
                 gamma[i] = 1.0
             else:
                 phi[i, i - 1] = 1.0
-    kappa, memory_decay = sensor_weights(problem)
+    kappa, decay = sensor_weights(problem)
     phi[memory] = 0.0
     for signal, i in enumerate(range(memory.start, memory.stop)):  # states 0 and 1 are e and e'
-        phi[i, i] = memory_decay
-        phi[i, signal] = kappa * (1.0 - memory_decay)
+        phi[i, i] = decay
+        phi[i, signal] = kappa * (1.0 - decay)
     return sample
 
 

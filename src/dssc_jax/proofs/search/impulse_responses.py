@@ -73,7 +73,19 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
     return None
 
 
-def decay_of(a: np.ndarray) -> tuple[float, np.ndarray]:
+class Decay(NamedTuple):
+    """A V = z'Pz that falls along z+ = A z.
+
+    Args:
+        lost_share: The share of V that is lost in a sample.
+        p: P, shape (n, n).
+    """
+
+    lost_share: float
+    p: np.ndarray
+
+
+def decay_of(a: np.ndarray) -> Decay:
     """A V = z'Pz that falls along z+ = A z, by which the verifier bounds the tails of the responses.
 
     The state may shrink half as fast as its slowest mode does, so that V has room. P solves a Lyapunov equation in
@@ -82,9 +94,6 @@ def decay_of(a: np.ndarray) -> tuple[float, np.ndarray]:
 
     Args:
         a: A, stable, shape (n, n).
-
-    Returns:
-        The share of V that is lost in a sample, and P, shape (n, n).
     """
     contraction = 0.5 * (1.0 + spectral_radius(a))  # of the state in a sample; V shrinks by its square
     gramian = solve_discrete_lyapunov(a / contraction, np.eye(a.shape[0]))
@@ -92,7 +101,7 @@ def decay_of(a: np.ndarray) -> tuple[float, np.ndarray]:
     inverse = np.linalg.inv(scale)
     scaled_p = solve_discrete_lyapunov((inverse @ a @ scale / contraction).T, np.eye(a.shape[0]))
     p = inverse.T @ scaled_p @ inverse
-    return float(1.0 - contraction**2), 0.5 * (p + p.T)
+    return Decay(lost_share=float(1.0 - contraction**2), p=0.5 * (p + p.T))
 
 
 def spectral_radius(a: np.ndarray) -> float:

@@ -71,7 +71,7 @@ class LawSpread(NamedTuple):
         gains: Interval of each gain, by its name in :data:`GAIN_NAMES`; the middle loop has the middle of each. With
             q, phi_1/sigma stands in place of K_P.
         integral: omega_v, deviation of the increment of v or q in a sample.
-        command: omega_u, deviation of the command apart from what it takes over from v or q.
+        command: omega_u, deviation of the command, without the deviation of the v or q in it.
         slide: Deviation of the equivalent control u_eq; in the conservative form without the part that
             :func:`slide_hull` bounds.
         slide_e: Factor of the change of e in a sample with which e adds to u_eq [m/s per m].
@@ -149,29 +149,33 @@ def ratio_spread(problem: ProofProblem, hull: Hull, half_width: dict[str, float]
 
 
 def function_spread(
-    points: GainPoints, by_ratio: LawSpread, half_width: dict[str, float], t: float, errors: np.ndarray
+    points: GainPoints, by_ratio: LawSpread, half_width: dict[str, float], sample_time: float, errors: np.ndarray
 ) -> LawSpread:
     """The law in q, where phi_1, phi_2 and n deviate by a constant from the straight lines nearest to them.
 
     Args:
         points: Gains at points of the region.
-        by_ratio: The law whose deviations are bounded in |sigma|; what is the same is taken from it.
+        by_ratio: The law whose deviations are bounded in |sigma|, from :func:`ratio_spread`.
         half_width: Half of the width of each gain's interval.
-        t: T_s [s].
-        errors: R(sigma), what the increment of v differs by from the change of phi_1, shape (points,).
+        sample_time: T_s [s].
+        errors: R(sigma), from :func:`~dssc_jax.proofs.search.gains.increment_errors`, shape (points,).
     """
     size = np.abs(points.sigma)
-    mean, k_i, k_n = (points.columns[name] for name in ("mean", "k_i", "k_n"))  # phi_1, phi_2 and n over sigma
-    k_1, k_2, k_3 = (nearest_slope(size, ratio) for ratio in (mean, k_i, k_n))
-    integral_distance = largest_distance(size, k_i, k_2, errors / t)  # of phi_2, plus R/T_s
-    command_distance = largest_distance(size, mean + k_n, k_1 + k_3)  # of phi_1 + n
-    mean_distance = largest_distance(size, mean, k_1)  # of phi_1
+    phi_1_ratios = points.columns["mean"]  # phi_1/sigma
+    phi_2_ratios = points.columns["k_i"]
+    n_ratios = points.columns["k_n"]
+    k_1 = nearest_slope(size, phi_1_ratios)
+    k_2 = nearest_slope(size, phi_2_ratios)
+    k_3 = nearest_slope(size, n_ratios)
+    phi_1_distance = largest_distance(size, phi_1_ratios, k_1)
+    phi_2_distance = largest_distance(size, phi_2_ratios, k_2, errors / sample_time)  # plus R/T_s
+    command_distance = largest_distance(size, phi_1_ratios + n_ratios, k_1 + k_3)  # of phi_1 + n
     return LawSpread(
         is_integrated=True,
         gains=by_ratio.gains | {"k_p": (k_1, k_1), "k_i": (k_2, k_2), "k_n": (k_3, k_3)},
-        integral=Deviation(0.0, 0.0, t * integral_distance),
-        command=Deviation(0.0, 0.0, command_distance),
-        slide=Deviation(by_ratio.slide.change, half_width["slide_i"], mean_distance),
+        integral=Deviation(change=0.0, sigma=0.0, constant=sample_time * phi_2_distance),
+        command=Deviation(change=0.0, sigma=0.0, constant=command_distance),
+        slide=Deviation(by_ratio.slide.change, sigma=half_width["slide_i"], constant=phi_1_distance),
         slide_e=by_ratio.slide_e,
     )
 
@@ -218,7 +222,7 @@ def middle_gains(spread: LawSpread) -> list[float]:
     return [middle(spread.gains[name]) for name in GAIN_NAMES]
 
 
-def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float, error_change: float) -> Interval:
+def slide_hull(problem: ProofProblem, region: StageRegion, error_change: float) -> Interval:
     """The interval of K_P (1 + tau_av/T_s), the gain of sigma - s in the equivalent control; it has no unit.
 
     In the conservative form K_P is a mean over the sample, whereas tau_av belongs to its end. With a constant k_o,
@@ -227,34 +231,38 @@ def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float
 
     Args:
         problem: The loop and its uncertain numbers.
-        region: Bounds of |sigma| [m/s] and |e| [m].
-        change: Bound of the change of sigma in a sample [m/s].
+        region: The region.
         error_change: Bound of the change of e in a sample [m].
     """
-    hull = gain_hull(problem, *region)
+    hull = gain_hull(problem, region.sigma, region.e)
     by_extremes = hull["slide_p"]
     functions = problem.functions
     if problem.form == "implicit" or "k_o" not in functions or functions["kind"] == "constant":
         return by_extremes
-    ratio = slope_ratio(problem, region, change, error_change)
+    ratio = slope_ratio(problem, region, error_change)
     averaging_gain = 1.0 / (functions["k_o"] * problem.sample_time)  # tau_av K_P/T_s where the slopes agree
     k_p_low, k_p_high = hull["k_p"]
     by_ratio = (k_p_low + averaging_gain / ratio, k_p_high + averaging_gain * ratio)
-    return min(by_extremes, by_ratio, key=lambda interval: interval[1] - interval[0])
+    return min(by_extremes, by_ratio, key=width)
 
 
-def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: float, error_change: float) -> float:
+def width(interval: Interval) -> float:
+    """The distance of the two ends of an interval."""
+    low, high = interval
+    return high - low
+
+
+def slope_ratio(problem: ProofProblem, region: StageRegion, error_change: float) -> float:
     """The largest ratio of the slopes d phi_1/d sigma at two points that the loop can pass within one sample.
 
     Each cell of a grid of sigma and e is compared with all cells that are near enough.
 
     Args:
         problem: The loop and its uncertain numbers.
-        region: Bounds of |sigma| [m/s] and |e| [m].
-        change: Bound of the change of sigma in a sample [m/s].
+        region: The region.
         error_change: Bound of the change of e in a sample [m].
     """
-    sigma, e = region
+    sigma, e, change = region
     size = sigma * np.linspace(0.0, 1.0, ROOT_CELLS + 1) ** 2
     errors = e * np.linspace(0.0, 1.0, ERROR_CELLS + 1)
     with jax.enable_x64(True):

@@ -53,6 +53,22 @@ class LoopPoint(NamedTuple):
     gains: LoopGains
 
 
+class SignalRows(NamedTuple):
+    """Signals of the loop as rows c over z, so that each is c z; shape (n,) each.
+
+    Args:
+        e: The measured e.
+        true_e: e itself.
+        sigma: The measured sigma.
+        change: sigma - s, the change of the measured sigma in a sample.
+    """
+
+    e: np.ndarray
+    true_e: np.ndarray
+    sigma: np.ndarray
+    change: np.ndarray
+
+
 class Step(NamedTuple):
     """One sample z+ = A z + B w of a plant with given gains.
 
@@ -60,7 +76,7 @@ class Step(NamedTuple):
         a: A, shape (n, n).
         b: B, shape (n, inputs). Its inputs, each of size 1, are the change of d_r + f, the change of -f, and theta's
             components along e, e' and eta.
-        rows: Signals as rows over z: the measured e, e itself, the measured sigma, and sigma - s; shape (4, n).
+        rows: Signals as rows over z.
         command: command + d_r as a row over z, shape (n,).
         push: What a unit of command + d_r adds to z+, shape (n,).
         jump: What a unit of a change of d_r adds to zeta, shape (n,).
@@ -68,7 +84,7 @@ class Step(NamedTuple):
 
     a: np.ndarray
     b: np.ndarray
-    rows: np.ndarray
+    rows: SignalRows
     command: np.ndarray
     push: np.ndarray
     jump: np.ndarray
@@ -99,13 +115,15 @@ def signal_sizes(problem: ProofProblem, box: Box) -> SignalSizes:
     """
     speed, acceleration, jerk = problem.reference
     a_n, k_n, _ = problem.nominal or (0.0, np.inf, False)
-    plants = list(product(box["k_p"], box["a_p"]))
-    # pairs of weights, of y_m'' and y_m' in the signals, and of y_m''' and y_m'' in their derivatives
-    feed_weights = (problem.nominal is not None) * np.array([1.0, abs(a_n)]) / k_n
-    disturbance_weights = np.array([1.0, max(map(abs, box["a_p"]))]) / box["k_p"][0]
-    offset_weights = np.max([[abs(1.0 / k_n - 1.0 / k_p), abs(a_n / k_n - a_p / k_p)] for k_p, a_p in plants], axis=0)
     motion = np.array([acceleration, speed])
     motion_rates = np.array([jerk, acceleration])
+    # largest weights of y_m'' and y_m' in f, in d_r, and in d_r + f; their derivatives have the same weights
+    feed_weights = (problem.nominal is not None) * np.array([1.0, abs(a_n)]) / k_n
+    disturbance_weights = np.array([1.0, max(map(abs, box["a_p"]))]) / box["k_p"][0]
+    offset_weights = np.zeros(2)
+    for k_p, a_p in product(box["k_p"], box["a_p"]):
+        plant_weights = np.array([abs(1.0 / k_n - 1.0 / k_p), abs(a_n / k_n - a_p / k_p)])
+        offset_weights = np.maximum(offset_weights, plant_weights)
     return SignalSizes(
         level=float(problem.level + disturbance_weights @ motion),
         slope=float(problem.slope + disturbance_weights @ motion_rates),
@@ -136,30 +154,29 @@ def step_of(
     chi = n - 2
     sizes = signal_sizes(problem, box)
     phi, gamma = held_sample or held_matrices(problem, point.a_p, point.rate)
-    rows = measured_rows(problem)
-    e, _, sigma, change = rows
+    rows = signal_rows(problem)
     unit = np.eye(n)
     v = unit[n - 2]
     k_p, k_i, k_n = point.gains
-    v_row = v + problem.sample_time * k_i * sigma + (0.0 if is_integrated else k_p) * change  # v+ or q+
-    command = -v_row - (k_p if is_integrated else 0.0) * sigma  # v = q + phi_1
+    v_row = v + problem.sample_time * k_i * rows.sigma + (0.0 if is_integrated else k_p) * rows.change  # v+ or q+
+    command = -v_row - (k_p if is_integrated else 0.0) * rows.sigma  # v = q + phi_1
     if problem.nominal:
         a_n, nominal_gain, _ = problem.nominal
         l0 = problem.l0
-        command = command - ((a_n - l0) * l0 * e + (l0 - a_n) * sigma) / nominal_gain
-        command = command - k_n * sigma
+        command = command - ((a_n - l0) * l0 * rows.e + (l0 - a_n) * rows.sigma) / nominal_gain
+        command = command - k_n * rows.sigma
     push = np.zeros(n)
     push[:chi] = point.k_p * gamma
     a = np.zeros((n, n))
     a[:chi, :chi] = phi
     a += np.outer(push, command)
     a[n - 2] = v_row
-    a[n - 1] = sigma  # s+
+    a[n - 1] = rows.sigma  # s+
     jump = np.zeros(n)
     jump[zeta] = resting_zeta(problem, point.k_p)
     change_of_offset = problem.sample_time * sizes.offset_slope * (jump - v)  # of d_r + f
     change_of_feed = problem.sample_time * sizes.feed_slope * jump  # of -f
-    theta = [bound * unit[i] for i, bound in enumerate(inside_bound(problem, point, box)[: zeta.start])]
+    theta = [bound * unit[i] for i, bound in enumerate(disturbance_effects(problem, point, box)[: zeta.start])]
     b = np.stack([change_of_offset, change_of_feed, *theta], axis=1)
     return Step(a=a, b=b, rows=rows, command=command, push=push, jump=jump)
 
@@ -172,14 +189,13 @@ def resting_zeta(problem: ProofProblem, u: float) -> np.ndarray:
     zeta, *_ = state_layout(problem)
     if not problem.denominator:
         return np.full(zeta.stop - zeta.start, u)
-    coefficients, _, _ = companion_form(problem)
     resting_state = np.zeros(zeta.stop - zeta.start)
-    resting_state[0] = u / coefficients[0]
+    resting_state[0] = u / companion_form(problem).a[0]
     return resting_state
 
 
-def measured_rows(problem: ProofProblem) -> np.ndarray:
-    """Rows c of the signals c z: the measured e, the true e, the measured sigma, and sigma - s; shape (4, n).
+def signal_rows(problem: ProofProblem) -> SignalRows:
+    """The signals as rows over z.
 
     The state z begins with the error e and its rate e', and ends with s, the controller's sliding variable. A sensor
     with a lag shows (1 - kappa) y + m of a signal y; its memories m of e and of e' are the part ``memory`` of z. Sigma
@@ -191,14 +207,14 @@ def measured_rows(problem: ProofProblem) -> np.ndarray:
     measured_e = true_e
     measured_rate = true_rate
     if problem.sensor_lag:
-        kappa, _ = sensor_weights(problem)
+        kappa = sensor_weights(problem).kappa
         measured_e = (1.0 - kappa) * true_e + state_rows[memory.start]
         measured_rate = (1.0 - kappa) * true_rate + state_rows[memory.start + 1]
     sigma = measured_rate + problem.l0 * measured_e
-    return np.stack([measured_e, true_e, sigma, sigma - s])
+    return SignalRows(e=measured_e, true_e=true_e, sigma=sigma, change=sigma - s)
 
 
-def inside_bound(problem: ProofProblem, point: LoopPoint, box: Box) -> np.ndarray:
+def disturbance_effects(problem: ProofProblem, point: LoopPoint, box: Box) -> np.ndarray:
     """Bounds of the components of theta, the effect of d_r's change within a sample, shape (n - 2,).
 
     A time t after the sample d_r has changed by D t at most. It acts through exp(F r) k_p b with a unit column b along

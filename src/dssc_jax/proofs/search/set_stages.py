@@ -11,7 +11,7 @@ import numpy as np
 from dssc_jax.proofs.problem import Box, ProofProblem, middle
 from dssc_jax.proofs.search.gains import NEAR_ORIGIN, Hull, Region, gain_hull, region_of, start_ratio
 from dssc_jax.proofs.search.impulse_responses import responses, spectral_radius
-from dssc_jax.proofs.search.law_spread import slide_hull
+from dssc_jax.proofs.search.law_spread import StageRegion, slide_hull
 from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.programs import (
     TIGHT,
@@ -65,8 +65,6 @@ GAIN_ROOM = 1.03
 """Factor that widens what phi_1 changes by with e, for the verifier's enclosure."""
 SPEED_ROOM = 1.05
 """Factor that widens |e'| at the samples, for the time between them."""
-E, TRUE_E, SIGMA, CHANGE = range(4)
-"""Places of the signals in ``Step.rows``: the measured e, e itself, the measured sigma, and sigma - s."""
 
 
 @dataclass(frozen=True)
@@ -198,16 +196,20 @@ def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
     if problem.rho is None:
         return []
     step = setting.origin
-    change = step.rows[CHANGE]
-    sigma = step.rows[SIGMA]
+    change = step.rows.change
+    sigma = step.rows.sigma
     *_, integrator, s = np.eye(step.a.shape[0])
     room = problem.rho - signal_sizes(problem, setting.box).offset
     if setting.is_integrated:  # v = q + phi_1(s), where phi_1(s) is near mean s
         hull = region.hull
         mean = middle(hull["mean"])
         v_row = integrator + mean * s
-        spreads = [max(abs(end - mean) for end in piece["mean"]) for piece in region.pieces]
-        room -= max(spread * largest_s for spread, largest_s in zip(spreads, region.ends, strict=True))
+        largest_phi_1_deviation = 0.0  # of phi_1(s) from mean s
+        for piece, largest_s in zip(region.pieces, region.ends, strict=True):
+            low, high = piece["mean"]
+            largest_ratio = max(abs(low - mean), abs(high - mean))
+            largest_phi_1_deviation = max(largest_phi_1_deviation, largest_ratio * largest_s)
+        room -= largest_phi_1_deviation
         room -= hull["slide_e"][1] * setting.error_change(region)  # what phi_1 changes by through e
     else:
         hull = setting.increments(region, region.hull)
@@ -215,8 +217,8 @@ def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
     slide_p = hull["slide_p"]
     change_rows = []
     if problem.form == "conservative":
-        largest_change = CHANGE_ROOM * excursion(step, setting.programs.starts, CHANGE)
-        slide_p = slide_hull(problem, (region.sigma, region.e), largest_change, setting.error_change(region))
+        largest_change = CHANGE_ROOM * excursion(step, setting.programs.starts, change)
+        slide_p = slide_hull(problem, StageRegion(region.sigma, region.e, largest_change), setting.error_change(region))
         if slide_p != hull["slide_p"]:
             change_rows = [BoundedRow(change, largest_change, CHANGE_WEIGHT)]
     corners = product(set(slide_p), set(hull["slide_i"]))
@@ -250,7 +252,8 @@ def first_set(setting: Setting) -> SetStage | Obstacle:
 
     If there is none, further programs without some of the conditions tell which one is the obstacle.
     """
-    excursions = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
+    rows = setting.origin.rows
+    excursions = [excursion(setting.origin, setting.programs.starts, row) for row in (rows.sigma, rows.e)]
     if not all(np.isfinite(excursions)):
         return Obstacle.REGION
     first_sizes = [FIRST_REGION * max(size, NEAR_ORIGIN) for size in excursions]
@@ -280,15 +283,15 @@ def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bo
     for _ in range(MOST_REGIONS):
         region = region_of(setting.problem, float(limits[0]), float(limits[1]))
         steps = setting.steps(region)
-        region_rows = [BoundedRow(rows[SIGMA], region.sigma, weight=None)]
+        region_rows = [BoundedRow(rows.sigma, region.sigma, weight=None)]
         if depends_on_e:
-            region_rows.append(BoundedRow(rows[E], region.e, weight=None))
+            region_rows.append(BoundedRow(rows.e, region.e, weight=None))
         sliding_rows = slide_rows(setting, region) if slides else []
         if not all(bounded.bound > 0.0 for bounded in sliding_rows):
             return None
         if (solution := set_with_start(setting, steps, [*region_rows, *sliding_rows], shares)) is None:
             return None
-        sizes = np.array([largest_in_set(solution.p, rows[row]) for row in (SIGMA, E)])
+        sizes = np.array([largest_in_set(solution.p, rows.sigma), largest_in_set(solution.p, rows.e)])
         sigma_fits, e_fits = sizes <= (1.0 - TIGHT) * limits
         if sigma_fits and (e_fits or not depends_on_e):
             return set_stage(solution, region, setting)
@@ -333,8 +336,8 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
     """
     region = region_of(setting.problem, sigma, e)
     steps = setting.steps(region)
-    e_row = setting.origin.rows[E]
-    sigma_row = setting.origin.rows[SIGMA]
+    e_row = setting.origin.rows.e
+    sigma_row = setting.origin.rows.sigma
     rows = [BoundedRow(e_row, e, weight=1.0), BoundedRow(sigma_row, sigma, weight=0.05)]
     solutions: list[Solution] = []
     for share in shares:
@@ -348,15 +351,15 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
     return set_stage(best_solution, region, setting)
 
 
-def excursion(step: Step, starts: Sequence[np.ndarray], row: int) -> float:
+def excursion(step: Step, starts: Sequence[np.ndarray], row: np.ndarray) -> float:
     """The largest |signal| that a linear loop reaches from its starts under inputs of size 1; infinite if unstable.
 
     Args:
         step: One sample of the loop.
         starts: States in which the loop may start, shape (n,) each.
-        row: Place of the signal in ``step.rows``.
+        row: The signal as a row over z, shape (n,).
     """
-    response = responses(step.a, step.rows[[row]], step.b, np.stack(starts, axis=1))
+    response = responses(step.a, row[None], step.b, np.stack(starts, axis=1))
     if response is None:
         return np.inf
     return (response.peaks + response.sums.sum(axis=1)).item()
@@ -369,7 +372,7 @@ def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
     """
     return SetStage(
         sigma=region.sigma,
-        e=max(region.e, INFLATION * largest_in_set(result.p, setting.origin.rows[E])),
+        e=max(region.e, INFLATION * largest_in_set(result.p, setting.origin.rows.e)),
         level=setting.problem.level,
         slope=setting.problem.slope,
         pieces=len(region.pieces),

@@ -15,7 +15,7 @@ from flint import arb, arb_mat
 
 from dssc_jax.proofs.verifier.balls import Balls, ball_ends, exact_ends, matrix_of_columns, maximum, unit_rows
 from dssc_jax.proofs.verifier.certificate import Box, Problem
-from dssc_jax.proofs.verifier.held_plant import companion_form, flows, generator_over, memory_weights, state_places
+from dssc_jax.proofs.verifier.held_plant import companion_form, flows, generator_over, sensor_weights, state_places
 
 SAMPLE_PIECES = 8
 """Number of equal pieces of a sample, over each of which the plant is enclosed."""
@@ -98,8 +98,10 @@ def signal_rows(problem: Problem) -> SignalRows:
     unit = unit_rows(places.n)
     e, speed, *_, v, s = unit
     if places.memory:
-        kappa, _ = memory_weights(problem)
-        e, speed = (unit[i] * (1 - kappa) + unit[place] for i, place in enumerate(places.memory))
+        kappa = sensor_weights(problem).kappa
+        error_place, speed_place = places.memory
+        e = e * (1 - kappa) + unit[error_place]
+        speed = speed * (1 - kappa) + unit[speed_place]
     sigma = speed + e * arb(problem["l0"])
     return SignalRows(e, sigma, sigma - s, v, s)
 
@@ -119,7 +121,7 @@ def sample_corners(
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     sizes = signal_bounds(problem, box)
-    theta_bounds = inside_bounds(problem, box, arb(problem["sample_time"]))
+    theta_bounds = disturbance_effects(problem, box, arb(problem["sample_time"]))
     names = ("mean" if is_integrated else "k_p", "k_i", "k_n")
     corners = []
     for vertex, k_p in product(vertices, exact_ends(box["k_p"])):
@@ -143,7 +145,8 @@ def sample_matrix(
     """
     n = state_places(problem).n
     chi = n - 2
-    v_row, command = control_rows(problem, gain, is_integrated=is_integrated)
+    v_row = integrator_row(problem, gain, is_integrated=is_integrated)
+    command = command_row(problem, gain, is_integrated=is_integrated)
     rows = []
     for i in range(chi):  # Phi chi + Gamma k_p command
         by_state = [held_matrix[i, j] for j in range(chi)] + [arb(0), arb(0)]
@@ -152,11 +155,8 @@ def sample_matrix(
     return arb_mat([*rows, *v_row.tolist(), *signal_rows(problem).sigma.tolist()])
 
 
-def control_rows(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) -> tuple[arb_mat, arb_mat]:
-    """v+ (or q+) after the sample, and command + d_r, as rows over z, shape (1, n) each.
-
-    v+ = v + K_P (sigma - s) + T_s K_I sigma and command = -v+, or q+ = q + T_s K_I sigma and command = -q+ - phi_1; the
-    nominal control's feedback is subtracted from the command.
+def integrator_row(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) -> arb_mat:
+    """v+ = v + K_P (sigma - s) + T_s K_I sigma after the sample, or q+ = q + T_s K_I sigma, as a row over z, (1, n).
 
     Args:
         problem: The certificate's problem.
@@ -164,20 +164,28 @@ def control_rows(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) 
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     rows = signal_rows(problem)
-    proportional, k_i, k_n = gain
-    v_row = rows.v + rows.sigma * (arb(problem["sample_time"]) * k_i)
+    proportional, k_i, _ = gain
+    row = rows.v + rows.sigma * (arb(problem["sample_time"]) * k_i)
+    return row if is_integrated else row + rows.change * proportional
+
+
+def command_row(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) -> arb_mat:
+    """command + d_r = -v+, or -q+ - phi_1, less the nominal control's feedback, as a row over z, shape (1, n).
+
+    The arguments are those of :func:`integrator_row`.
+    """
+    rows = signal_rows(problem)
+    proportional, _, k_n = gain
+    command = -integrator_row(problem, gain, is_integrated=is_integrated)
     if is_integrated:
-        command = -v_row - rows.sigma * proportional
-    else:
-        v_row = v_row + rows.change * proportional
-        command = -v_row
+        command = command - rows.sigma * proportional
     if problem["nominal"]:
         a_n, nominal_gain = map(arb, problem["nominal"][:2])
         l0 = arb(problem["l0"])
         feedback = rows.e * ((a_n - l0) * l0) + rows.sigma * (l0 - a_n)
         command = command - feedback * (1 / nominal_gain)
         command = command - rows.sigma * k_n  # the term 1/tau_m
-    return v_row, command
+    return command
 
 
 def zeta_jump(problem: Problem) -> list[arb]:
@@ -201,7 +209,7 @@ def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, theta_bounds:
         problem: The certificate's problem.
         k_p: High-frequency gain [1/s].
         sizes: Bounds of the disturbance and the reference.
-        theta_bounds: Bounds of theta's components, by :func:`inside_bounds`.
+        theta_bounds: Bounds of theta's components, by :func:`disturbance_effects`.
     """
     zeta, memory, n = state_places(problem)
     t = arb(problem["sample_time"])
@@ -215,7 +223,7 @@ def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, theta_bounds:
     return matrix_of_columns(columns)
 
 
-def inside_bounds(problem: Problem, box: Box, time: arb) -> list[arb]:
+def disturbance_effects(problem: Problem, box: Box, time: arb) -> list[arb]:
     """Bounds of the components of theta(t), the effect that d_r's change since the sample has at a time t, (n,).
 
     At a time r d_r has changed by D r at most, and acts through exp(F r) k_p b with a unit column b along e'. So a
@@ -248,7 +256,7 @@ def start_columns(problem: Problem, box: Box, ratio: arb) -> arb_mat:
     memory = state_places(problem).memory
     sizes = signal_bounds(problem, box)
     jump = zeta_jump(problem)
-    kappa = memory_weights(problem)[0] if memory else arb(0)
+    kappa = sensor_weights(problem).kappa if memory else arb(0)
     if any(problem["reference"]):
         signals = list(product((-sizes.level, sizes.level), (-sizes.offset, sizes.offset)))  # d_r and d_r + f
     else:  # at rest f = 0, so that d_r + f is d_r

@@ -7,15 +7,17 @@ reach at points by more than a small share.
 """
 
 import math
+from collections.abc import Sequence
 from functools import reduce
 from operator import add
+from typing import NamedTuple
 
 import numpy as np
 from flint import arb
 
 from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum, require_premise, total
 from dssc_jax.proofs.verifier.certificate import Problem
-from dssc_jax.proofs.verifier.gain_enclosures import gains_at, halves_of, middle_of
+from dssc_jax.proofs.verifier.gain_enclosures import SizeInterval, gains_at, halves_of, middle_of
 from dssc_jax.proofs.verifier.intervals import Intervals, exactly, square_root
 from dssc_jax.proofs.verifier.table_gains import Cells, first_cells, gains_of
 
@@ -33,15 +35,28 @@ DISTANCES = {"phi_1": ("mean",), "phi_2": ("k_i",), "both": ("mean", "k_n")}
 """Names of the three distances. Each is that of a sum of gains from its slope, times |sigma|."""
 
 
+class StraightLines(NamedTuple):
+    """The straight lines whose distances from the functions are bounded.
+
+    Args:
+        slopes: k_1 (``mean``), k_2 (``k_i``) and k_n, exact numbers.
+        share: s_q, the share of the third difference that is subtracted from the second; 0 for Table 1's functions.
+        change: In the implicit form, a bound of |sigma - s| [m/s]: the distance of phi_2 then contains
+            :func:`increment_error` over T_s. None: the conservative form.
+    """
+
+    slopes: Balls
+    share: float = 0.0
+    change: float | None = None
+
+
 def function_distances(
     problem: Problem,
     sigma: float,
     e: float,
-    centre: Balls,
+    lines: StraightLines,
     room: float = DISTANCE_ROOM,
     sigma_from: float = 0.0,
-    share: float = 0.0,
-    change: float | None = None,
 ) -> Balls:
     """Upper bounds over a region of the functions' distances from straight lines, by the names in ``DISTANCES``.
 
@@ -49,37 +64,31 @@ def function_distances(
         problem: The certificate's problem.
         sigma: Largest |sigma| [m/s].
         e: Largest |e| [m]; only Table 1's functions depend on it.
-        centre: The slopes k_1 (``mean``), k_2 (``k_i``) and k_n, exact numbers.
+        lines: The straight lines. Unless their share is 0, the second bound has the room ``SHARED_ROOM``.
         room: Largest excess over the distances at points, as a share of them; ``DISTANCE_ROOM`` for Table 1's.
         sigma_from: Smallest |sigma| [m/s]; 0 for Table 1's.
-        share: s_q, the share of the third difference that is subtracted from the second. Unless it is 0, the second
-            bound has the room ``SHARED_ROOM``. Table 1's functions take none.
-        change: In the implicit form, a bound of |sigma - s| [m/s]: the distance of phi_2 then contains
-            :func:`increment_error` over T_s. None: the conservative form.
     """
     if problem["functions"]["kind"] == "vgsta":
-        return distances_in_cells(problem, sigma, e, centre)
-    rooms = dict.fromkeys(DISTANCES, room) | ({"phi_2": SHARED_ROOM} if share else {})
-    rounding = {name: rounding_room(names, centre) * sigma for name, names in DISTANCES.items()}
-    rounding["phi_2"] += abs(share) * rounding["both"]
+        return distances_in_cells(problem, sigma, e, lines.slopes)
+    rooms = dict.fromkeys(DISTANCES, room)
+    if lines.share:
+        rooms["phi_2"] = SHARED_ROOM
+    rounding = {name: rounding_room(names, lines.slopes) * sigma for name, names in DISTANCES.items()}
+    rounding["phi_2"] += abs(lines.share) * rounding["both"]
     reached = dict.fromkeys(DISTANCES, arb(0))  # at points, lower bounds
     bounds = dict.fromkeys(DISTANCES, arb(0))
     pieces = [(sigma_from, sigma)]
     remaining = MOST_PIECES
     while pieces:
-        for low, high in pieces:
-            for point in (middle_of((low, high)), high):
-                for name, distance in distances_at(problem, (point, point), centre, share, change).items():
-                    reached[name] = maximum(reached[name], distance.lower())
+        for name, distance in largest_at_points(problem, pieces, lines).items():
+            reached[name] = maximum(reached[name], distance)
+        limits = {name: reached[name] * (1 + rooms[name]) + rounding[name] for name in DISTANCES}
         remaining -= len(pieces)
         wide_pieces = []
         for piece in pieces:
-            distances = distances_if_enclosed(problem, piece, centre, share, change)
+            distances = distances_if_enclosed(problem, piece, lines)
             require_premise(bool(distances) or remaining > 0, "P2: the functions cannot be enclosed in the region")
-            is_close = all(
-                distance.upper() <= reached[name] * (1 + rooms[name]) + rounding[name]
-                for name, distance in distances.items()
-            )
+            is_close = all(distance.upper() <= limits[name] for name, distance in distances.items())
             if not distances or (remaining > 0 and not is_close):
                 wide_pieces.append(piece)
                 continue
@@ -89,30 +98,38 @@ def function_distances(
     return bounds
 
 
-def distances_if_enclosed(
-    problem: Problem, size: tuple[float, float], centre: Balls, share: float, change: float | None
-) -> Balls:
+def largest_at_points(problem: Problem, pieces: Sequence[SizeInterval], lines: StraightLines) -> Balls:
+    """Lower bounds of the largest distances at the middle and the upper end of each piece of |sigma|, by name."""
+    largest = dict.fromkeys(DISTANCES, arb(0))
+    for low, high in pieces:
+        for point in (middle_of((low, high)), high):
+            for name, distance in distances_at(problem, (point, point), lines).items():
+                largest[name] = maximum(largest[name], distance.lower())
+    return largest
+
+
+def distances_if_enclosed(problem: Problem, size: SizeInterval, lines: StraightLines) -> Balls:
     """The distances of :func:`distances_at`; empty if |sigma| has so wide an interval that a function may be 0."""
     try:
-        return distances_at(problem, size, centre, share, change)
+        return distances_at(problem, size, lines)
     except Rejected:
         return {}
 
 
-def distances_at(
-    problem: Problem, size: tuple[float, float], centre: Balls, share: float, change: float | None
-) -> Balls:
-    """Balls whose upper ends bound the distances from straight lines for |sigma| in an interval [m/s], by name.
+def distances_at(problem: Problem, size: SizeInterval, lines: StraightLines) -> Balls:
+    """Balls whose upper ends bound the distances from straight lines for |sigma| in an interval, by name.
 
-    At a point they contain the distances. The other arguments are those of :func:`function_distances`.
+    At a point they contain the distances.
     """
     smallest, largest = size
     gains = gains_at(problem, size)
-    differences = {name: total([gains[gain] - centre[gain] for gain in names]) for name, names in DISTANCES.items()}
-    differences["phi_2"] = differences["phi_2"] - arb(share) * differences["both"]
+    differences = {}
+    for name, names in DISTANCES.items():
+        differences[name] = total([gains[gain] - lines.slopes[gain] for gain in names])
+    differences["phi_2"] = differences["phi_2"] - arb(lines.share) * differences["both"]
     distances = {name: abs(difference) * arb(largest) for name, difference in differences.items()}
-    if change is not None:
-        r = increment_error(problem, smallest, change)
+    if lines.change is not None:
+        r = increment_error(problem, smallest, lines.change)
         distances["phi_2"] = distances["phi_2"] + r / arb(problem["sample_time"])
     return distances
 
@@ -141,23 +158,27 @@ def phi_1(problem: Problem, sigma: float) -> arb:
     return gains_at(problem, (sigma, sigma))["mean"] * arb(sigma)
 
 
-def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) -> Balls:
+def distances_in_cells(problem: Problem, sigma: float, e: float, slopes: Balls) -> Balls:
     """Upper bounds of the distances for Table 1's functions, which depend on e, too; in float64, rounded outwards.
 
-    The arguments are those of :func:`function_distances`.
+    Args:
+        problem: The certificate's problem.
+        sigma: Largest |sigma| [m/s].
+        e: Largest |e| [m].
+        slopes: The slopes k_1 (``mean``), k_2 (``k_i``) and k_n, exact numbers.
     """
-    slopes = {name: exactly(float(centre[name])) for name in ("mean", "k_i", "k_n")}
-    rounding = {name: rounding_room(names, centre) * sigma for name, names in DISTANCES.items()}
+    exact_slopes = {name: exactly(float(slopes[name])) for name in ("mean", "k_i", "k_n")}
+    rounding = {name: rounding_room(names, slopes) * sigma for name, names in DISTANCES.items()}
     reached = dict.fromkeys(DISTANCES, 0.0)  # at points, lower bounds
     bounds = dict.fromkeys(DISTANCES, 0.0)
     cells = first_cells(square_root(0.0, sigma), (0.0, e))
     remaining = MOST_CELLS
     while cells.sign.size:
         remaining -= cells.sign.size
-        for name, interval in cell_distances(problem, cells.middles(), slopes).items():
+        for name, interval in cell_distances(problem, cells.middles(), exact_slopes).items():
             reached[name] = max(reached[name], float(np.max(interval.low)))
         too_wide = np.zeros(cells.sign.shape, bool)
-        distances = cell_distances(problem, cells, slopes)
+        distances = cell_distances(problem, cells, exact_slopes)
         for name, interval in distances.items():
             is_close = interval.high <= reached[name] * (1.0 + DISTANCE_ROOM) + rounding[name]
             too_wide |= ~is_close  # also where the end is NaN
@@ -198,6 +219,6 @@ def magnitude(values: Intervals) -> Intervals:
     return Intervals(np.where(contains_zero, 0.0, np.minimum(low, high)), np.maximum(low, high))
 
 
-def rounding_room(names: tuple[str, ...], centre: Balls) -> float:
+def rounding_room(names: tuple[str, ...], slopes: Balls) -> float:
     """The excess of a distance's bound that rounding needs, over |sigma|: a share of the slopes' magnitudes."""
-    return DISTANCE_ROUNDING * sum(abs(float(centre[name])) for name in names) + 1e-280
+    return DISTANCE_ROUNDING * sum(abs(float(slopes[name])) for name in names) + 1e-280

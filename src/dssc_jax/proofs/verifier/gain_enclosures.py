@@ -26,6 +26,8 @@ MOST_PIECES = 6000
 """Number of pieces of |sigma| after which no further piece is cut."""
 SMALLEST_REGION = 1e-12
 """Smallest bound of |sigma| [m/s] and |e| [m] at the start, so that both are positive."""
+SizeInterval = tuple[float, float]
+"""Lower and upper end of an interval of |sigma| [m/s], which may be a point."""
 
 
 class PointHull:
@@ -136,7 +138,9 @@ def enclosed_start_ratio(problem: Problem, *, is_integrated: bool) -> arb:
     """
     if problem["start"] == "zero":
         return arb(0)
-    e, speed = (interval_ball(*pair) for pair in problem["initial"][:2])
+    errors, speeds, *_ = problem["initial"]  # of e, e' and eta
+    e = interval_ball(*errors)
+    speed = interval_ball(*speeds)
     sigma_low, sigma_high = size_ends(speed + arb(problem["l0"]) * e)
     e_low, e_high = size_ends(e)
     gains = enclosed_gains(problem, sigma_high, e_high, sigma_low, e_low)
@@ -178,21 +182,21 @@ def depends_on_error(problem: Problem) -> bool:
     return problem["form"] == "conservative" and bool(problem["functions"].get("kappa_b", 0))
 
 
-def middle_of(piece: tuple[float, float]) -> float:
+def middle_of(piece: SizeInterval) -> float:
     """The middle of an interval of |sigma| on the scale of |sigma|^(1/2), on which the functions vary evenly."""
     low, high = piece
     return (0.5 * (low**0.5 + high**0.5)) ** 2
 
 
-def halves_of(piece: tuple[float, float]) -> list[tuple[float, float]]:
+def halves_of(piece: SizeInterval) -> list[SizeInterval]:
     """The two parts into which its middle cuts an interval of |sigma|."""
     low, high = piece
     middle = middle_of(piece)
     return [(low, middle), (middle, high)]
 
 
-def gains_at(problem: Problem, size: tuple[float, float]) -> Balls:
-    """Balls of the gains of functions of sigma alone, for |sigma| in an interval [m/s], by name."""
+def gains_at(problem: Problem, size: SizeInterval) -> Balls:
+    """Balls of the gains of functions of sigma alone, for |sigma| in an interval, by name."""
     constants = constants_of(problem)
     k_o_tau_av, tau_m = functions_at(problem, constants, size)
     t = arb(problem["sample_time"])
@@ -226,13 +230,13 @@ def constants_of(problem: Problem) -> Balls:
     return {name: arb(value) for name, value in problem["functions"].items() if name != "kind"}
 
 
-def functions_at(problem: Problem, c: Balls, size: tuple[float, float]) -> tuple[arb, arb]:
+def functions_at(problem: Problem, c: Balls, size: SizeInterval) -> tuple[arb, arb]:
     """Balls of k_o tau_av [1] and tau_m [s] for |sigma| in an interval: the rows of Table 2 and of Section V.
 
     Args:
         problem: The certificate's problem, with the kind of the functions.
         c: Their constants, by the names of the article.
-        size: Interval of |sigma| [m/s].
+        size: Interval of |sigma|.
     """
     kind = problem["functions"]["kind"]
     low, high = root_ends(size)
@@ -264,14 +268,14 @@ def functions_at(problem: Problem, c: Balls, size: tuple[float, float]) -> tuple
     return k_o_tau_av, tau_m
 
 
-def root_ends(size: tuple[float, float]) -> tuple[arb, arb]:
-    """|sigma|^(1/2) at both ends of an interval of |sigma|, which may be a point."""
+def root_ends(size: SizeInterval) -> tuple[arb, arb]:
+    """|sigma|^(1/2) at both ends of an interval of |sigma|."""
     low, high = size
     root_low = arb(low).sqrt()
     return root_low, root_low if low == high else arb(high).sqrt()
 
 
-def mean_gain(problem: Problem, c: Balls, size: tuple[float, float], k_o_tau_av: arb) -> arb:
+def mean_gain(problem: Problem, c: Balls, size: SizeInterval, k_o_tau_av: arb) -> arb:
     """Ball of phi_1/sigma, the mean of K_P over [0, sigma], for |sigma| in an interval.
 
     All these functions have k_o tau_av = alpha (r + beta) with r = |sigma|^(1/2). So K_P = 1/(alpha (r + beta)), and
@@ -280,7 +284,7 @@ def mean_gain(problem: Problem, c: Balls, size: tuple[float, float], k_o_tau_av:
     Args:
         problem: The certificate's problem, with the kind of the functions.
         c: Their constants, by the names of the article.
-        size: Interval of |sigma| [m/s].
+        size: Interval of |sigma|.
         k_o_tau_av: Ball of k_o tau_av.
     """
     match problem["functions"]["kind"]:
@@ -300,7 +304,7 @@ def mean_gain(problem: Problem, c: Balls, size: tuple[float, float], k_o_tau_av:
     return 2 / (alpha * beta * enclosed_ratio_to_defect(size, beta))
 
 
-def enclosed_ratio_to_defect(size: tuple[float, float], scale: arb) -> arb:
+def enclosed_ratio_to_defect(size: SizeInterval, scale: arb) -> arb:
     """Ball of x^2/(x - ln(1 + x)) at x = r/scale over an interval of |sigma|, where r = |sigma|^(1/2).
 
     The ratio rises with x, so that its values at both ends suffice.

@@ -71,13 +71,22 @@ def rate_interval(box: Box) -> Interval:
     return box.get("rate", (0.0, 0.0))
 
 
-def memory_weights(problem: Problem) -> tuple[arb, arb]:
-    """kappa and lambda of a sensor's lag.
+class SensorWeights(NamedTuple):
+    """Weights of a sensor's lag, which shows (1 - kappa) y + m with a memory m.
 
-    It shows (1 - kappa) y + m with a memory m, and m+ = lambda m + kappa (1 - lambda) y.
+    Args:
+        kappa: Share of y that the sensor leaves out.
+        decay: lambda, the factor of m in a sample: m+ = lambda m + kappa (1 - lambda) y.
     """
+
+    kappa: arb
+    decay: arb
+
+
+def sensor_weights(problem: Problem) -> SensorWeights:
+    """The weights of a sensor's lag; the problem must have one."""
     ratio = arb(problem["sample_time"]) / arb(problem["sensor_lag"])
-    return -(-ratio).expm1() / ratio, (-ratio).exp()
+    return SensorWeights(kappa=-(-ratio).expm1() / ratio, decay=(-ratio).exp())
 
 
 def companion_form(problem: Problem) -> CompanionForm:
@@ -177,11 +186,11 @@ def with_memories(problem: Problem, held_matrix: arb_mat) -> arb_mat:
             source = u_place if i == zeta[0] else i - 1
             rows[i] = [arb(int(j == source)) for j in range(n - 1)]
     if memory:
-        kappa, memory_decay = memory_weights(problem)
+        kappa, decay = sensor_weights(problem)
         for signal, i in enumerate(memory):  # states 0 and 1 are e and e'
             rows[i] = [arb(0)] * (n - 1)
-            rows[i][signal] = kappa * (1 - memory_decay)
-            rows[i][i] = memory_decay
+            rows[i][signal] = kappa * (1 - decay)
+            rows[i][i] = decay
     return arb_mat(rows)
 
 

@@ -5,6 +5,7 @@ V falls for all. The region is cut into pieces of |sigma|, each with gains of it
 """
 
 from itertools import pairwise, product
+from typing import NamedTuple
 
 from flint import arb, arb_mat
 
@@ -28,8 +29,8 @@ from dssc_jax.proofs.verifier.certificate import Box, InvariantStage, Problem
 from dssc_jax.proofs.verifier.enclosed_loop import (
     SAMPLE_PIECES,
     Corner,
-    control_rows,
-    inside_bounds,
+    command_row,
+    disturbance_effects,
     sample_corners,
     signal_bounds,
     signal_rows,
@@ -44,10 +45,39 @@ from dssc_jax.proofs.verifier.gain_enclosures import (
 from dssc_jax.proofs.verifier.held_plant import flows, generator_over, held_vertices
 from dssc_jax.proofs.verifier.slope_ratios import slide_gain
 
-ERROR, SPEED = 0, 1
-"""Places of e and e' in z."""
+ERROR = 0
+"""Place of e in z."""
+SPEED = 1
+"""Place of e' in z."""
 PieceGains = list[tuple[float, Balls]]
 """For each piece of |sigma|, its upper end [m/s] and the gains in it."""
+
+
+class StageSet(NamedTuple):
+    """The set {z'Pz <= 1} of a stage, and what its premises depend on.
+
+    Args:
+        problem: The problem, with the level and slope of the stage.
+        box: Intervals of k_p, a_p and 1/mu.
+        stage: The stage.
+        p: P, shape (n, n).
+        inverse: The inverse of P.
+        gains: Balls of the gains in the stage's region.
+        label: Place of the stage, for messages.
+    """
+
+    problem: Problem
+    box: Box
+    stage: InvariantStage
+    p: arb_mat
+    inverse: arb_mat
+    gains: Balls
+    label: str
+
+    @property
+    def is_integrated(self) -> bool:
+        """Whether z contains q = v - phi_1(s) in place of v."""
+        return self.stage["coordinate"] == "phi_1"
 
 
 def invariant_bounds(
@@ -79,19 +109,23 @@ def invariant_bounds(
         corners = sample_corners(problem, box, vertices, piece, is_integrated=is_integrated)
         check_invariance(arb(problem["sample_time"]), stage, p, corners, label)
     inverse = p.inv()
-    largest_error = largest_between_samples(problem, box, stage, inverse, gains, ERROR)
-    largest_speed = largest_between_samples(problem, box, stage, inverse, gains, SPEED)
+    stage_set = StageSet(problem, box, stage, p, inverse, gains, label)
+    largest_error = largest_between_samples(stage_set, ERROR)
+    largest_speed = largest_between_samples(stage_set, SPEED)
     error_change = arb(problem["sample_time"]) * largest_speed if depends_on_error(problem) else arb(0)
     if from_start:
-        check_start(problem, box, p, is_integrated, label)
-        check_sliding(problem, box, stage, inverse, gains, pieces, error_change, label)
+        check_start(stage_set)
+        check_sliding(stage_set, pieces, error_change)
     require_premise(not any(problem["by_state"]), f"P8: the set of {label} does not bound what the state adds to d")
     rows = signal_rows(problem)
-    sigma = bound_in_set(inverse, rows.sigma)
-    e = bound_in_set(inverse, rows.e)
-    change = bound_in_set(inverse, rows.change)
     return StageLimits(
-        sigma=sigma, e=e, change=change, between=largest_error, level=arb(0), slope=arb(0), error_change=error_change
+        sigma=bound_in_set(inverse, rows.sigma),
+        e=bound_in_set(inverse, rows.e),
+        change=bound_in_set(inverse, rows.change),
+        between=largest_error,
+        level=arb(0),
+        slope=arb(0),
+        error_change=error_change,
     )
 
 
@@ -118,23 +152,17 @@ def increment_gains(problem: Problem, stage: InvariantStage, gains: Balls, piece
     return increments | {"k_p": gains["k_p"]} if problem["form"] == "conservative" else increments
 
 
-def check_start(problem: Problem, box: Box, p: arb_mat, is_integrated: bool, label: str) -> None:
+def check_start(stage_set: StageSet) -> None:
     """(P3) Require that every start lies in the set {z'Pz <= 1}."""
-    starts = start_columns(problem, box, enclosed_start_ratio(problem, is_integrated=is_integrated))
+    problem = stage_set.problem
+    ratio = enclosed_start_ratio(problem, is_integrated=stage_set.is_integrated)
+    starts = start_columns(problem, stage_set.box, ratio)
     for j in range(starts.ncols()):
-        require_premise(quadratic_form(p, column(starts, j)) <= 1, f"P3: a start lies outside of {label}")
+        is_inside = quadratic_form(stage_set.p, column(starts, j)) <= 1
+        require_premise(is_inside, f"P3: a start lies outside of {stage_set.label}")
 
 
-def check_sliding(
-    problem: Problem,
-    box: Box,
-    stage: InvariantStage,
-    inverse: arb_mat,
-    gains: Balls,
-    pieces: PieceGains,
-    error_change: arb,
-    label: str,
-) -> None:
+def check_sliding(stage_set: StageSet, pieces: PieceGains, error_change: arb) -> None:
     """(P5) Require |u_eq - d_r - f| <= rho - sup |d_r + f| in the set.
 
     u_eq = v + slide_p (sigma - s) + slide_i sigma is affine in both gains, so their ends suffice. With q, v = q +
@@ -142,35 +170,32 @@ def check_sliding(
     times the change of e in a sample; with v, K_I contains this.
 
     Args:
-        problem: The certificate's problem.
-        box: Intervals of k_p, a_p and 1/mu.
-        stage: The stage.
-        inverse: Inverse of P.
-        gains: Balls of the gains in the stage's region.
+        stage_set: The set.
         pieces: Gains in each piece of |sigma|.
         error_change: Bound of the change of e in a sample [m].
-        label: Place of the stage, for messages.
     """
+    problem = stage_set.problem
+    gains = stage_set.gains
     if problem["rho"] is None:
         return
-    is_integrated = stage["coordinate"] == "phi_1"
     rows = signal_rows(problem)
-    room = arb(problem["rho"]) - signal_bounds(problem, box).offset
+    room = arb(problem["rho"]) - signal_bounds(problem, stage_set.box).offset
     u_av_row = rows.v
     slide_p = gains["slide_p"]
-    if is_integrated:
+    if stage_set.is_integrated:
         middle = gains["mean"].mid()
         u_av_row = u_av_row + rows.s * middle
         distances = [(abs(piece["mean"] - middle) * arb(end)).upper() for end, piece in pieces]
         room = room - maximum(*distances)
     if problem["form"] == "conservative":
-        if is_integrated:
+        if stage_set.is_integrated:
             room = room - abs(gains["slide_e"]).upper() * error_change
-        slide_p = slide_gain(problem, stage, gains, bound_in_set(inverse, rows.change), error_change)
+        change = bound_in_set(stage_set.inverse, rows.change)
+        slide_p = slide_gain(problem, stage_set.stage, gains, change, error_change)
     for p, i in product(ball_ends(slide_p), ball_ends(gains["slide_i"])):
         row = u_av_row + rows.change * p + rows.sigma * i
-        holds = bound_in_set(inverse, row) <= room
-        require_premise(holds, f"P5: the equivalent control may exceed rho in {label}")
+        holds = bound_in_set(stage_set.inverse, row) <= room
+        require_premise(holds, f"P5: the equivalent control may exceed rho in {stage_set.label}")
 
 
 def check_invariance(t: arb, stage: InvariantStage, p: arb_mat, corners: list[Corner], label: str) -> None:
@@ -199,7 +224,8 @@ def check_invariance(t: arb, stage: InvariantStage, p: arb_mat, corners: list[Co
     keep = scaled_p * (1 - t * rate)
     for corner in corners:
         scaled_corner = Corner(to_scaled * corner.a * from_scaled, to_scaled * corner.b)
-        active = [j for j, entries in enumerate(corner.b.transpose().tolist()) if not all(x == 0 for x in entries)]
+        columns = corner.b.transpose().tolist()
+        active = [j for j, entries in enumerate(columns) if not all(x == 0 for x in entries)]
         form = decrease_form(scaled_corner, scaled_p, keep, [t * mu for mu in multipliers], active)
         require_premise(positive_definite(symmetric_part(form)), f"P6: the set is not invariant in {label}")
 
@@ -221,9 +247,9 @@ def decrease_form(corner: Corner, p: arb_mat, keep: arb_mat, weights: list[arb],
     by_state = (keep - a_p * corner.a).tolist()
     cross = (a_p * corner.b).tolist()  # A'PB
     inputs = corner.b.transpose() * p * corner.b
-    state_rows = [
-        [*state_row, *(-cross_row[j] for j in active)] for state_row, cross_row in zip(by_state, cross, strict=True)
-    ]
+    state_rows = []
+    for state_row, cross_row in zip(by_state, cross, strict=True):
+        state_rows.append([*state_row, *(-cross_row[j] for j in active)])
     input_rows = []
     for j in active:
         input_row = [(weights[j] if i == j else arb(0)) - inputs[j, i] for i in active]
@@ -231,33 +257,28 @@ def decrease_form(corner: Corner, p: arb_mat, keep: arb_mat, weights: list[arb],
     return [*state_rows, *input_rows]
 
 
-def largest_between_samples(
-    problem: Problem, box: Box, stage: InvariantStage, inverse: arb_mat, gains: Balls, place: int
-) -> arb:
+def largest_between_samples(stage_set: StageSet, place: int) -> arb:
     """Upper bound of |e(t)| [m] or |e'(t)| [m/s] at all times, while z at the samples is in the set.
 
     Between samples the signal is a row over z, since chi(t) = exp(F t) chi + gamma(t) U, plus the effect of d_r's
     change. U is affine in the gains, so their ends suffice.
 
     Args:
-        problem: The problem, with the level and slope of the stage.
-        box: Intervals of k_p, a_p and 1/mu.
-        stage: The stage.
-        inverse: Inverse of P.
-        gains: Balls of the gains in the stage's region.
+        stage_set: The set.
         place: Place of the signal in z: ``ERROR`` for e, ``SPEED`` for e'.
     """
-    is_integrated = stage["coordinate"] == "phi_1"
-    names = ("mean" if is_integrated else "k_p", "k_i", "k_n")
+    problem = stage_set.problem
+    box = stage_set.box
+    names = ("mean" if stage_set.is_integrated else "k_p", "k_i", "k_n")
     t = arb(problem["sample_time"])
     k_p = interval_ball(*box["k_p"])
-    disturbance_bound = inside_bounds(problem, box, t)[place]
+    disturbance_bound = disturbance_effects(problem, box, t)[place]
     largest = arb(0)
     for flow in flows(generator_over(problem, box), t, SAMPLE_PIECES):
         *by_chi, by_u = flow.tolist()[place]
         by_state = arb_mat([[*by_chi, arb(0), arb(0)]])  # not of v and s
-        for gain in product(*(ball_ends(gains[name]) for name in names)):
-            _, command = control_rows(problem, gain, is_integrated=is_integrated)
+        for gain in product(*(ball_ends(stage_set.gains[name]) for name in names)):
+            command = command_row(problem, gain, is_integrated=stage_set.is_integrated)
             row = by_state + command * (k_p * by_u)  # U = k_p (command + d_r)
-            largest = maximum(largest, (bound_in_set(inverse, row) + disturbance_bound).upper())
+            largest = maximum(largest, (bound_in_set(stage_set.inverse, row) + disturbance_bound).upper())
     return largest

@@ -31,16 +31,16 @@ from dssc_jax.proofs.verifier.balls import (
 )
 from dssc_jax.proofs.verifier.certificate import Box, Problem, SmallGainStage
 from dssc_jax.proofs.verifier.enclosed_loop import (
-    control_rows,
+    command_row,
+    disturbance_effects,
     input_columns,
-    inside_bounds,
     sample_matrix,
     signal_bounds,
     signal_rows,
     start_columns,
     zeta_jump,
 )
-from dssc_jax.proofs.verifier.function_distances import function_distances, increment_error
+from dssc_jax.proofs.verifier.function_distances import StraightLines, function_distances, increment_error
 from dssc_jax.proofs.verifier.gain_enclosures import depends_on_error, enclosed_start_ratio
 from dssc_jax.proofs.verifier.held_plant import (
     flows,
@@ -121,8 +121,8 @@ def middle_loop(problem: Problem, box: Box, coordinate: str, centre: Balls) -> M
         chi = held_matrix.ncols() - 1
         half_widths = [[*row[:chi], (row[chi] * k_p_high).upper()] for row in held_spread(problem, box)[:chi]]
     sizes = signal_bounds(problem, box)
-    inputs = input_columns(problem, k_p, sizes, inside_bounds(problem, box, arb(problem["sample_time"])))
-    jump = jump_distance(problem, arb(problem["sample_time"]) * sizes.slope * k_p_distance)
+    inputs = input_columns(problem, k_p, sizes, disturbance_effects(problem, box, arb(problem["sample_time"])))
+    jump = jump_column(problem, arb(problem["sample_time"]) * sizes.slope * k_p_distance)
     return MiddleLoop(
         a=sample_matrix(problem, held_matrix, k_p, gain, is_integrated=is_integrated),
         rows=arb_mat([*bounded_signals(problem, centre, gain, is_integrated=is_integrated), *unit]),
@@ -145,7 +145,7 @@ def bounded_signals(problem: Problem, centre: Balls, gain: list[arb], *, is_inte
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     rows = signal_rows(problem)
-    _, command = control_rows(problem, gain, is_integrated=is_integrated)
+    command = command_row(problem, gain, is_integrated=is_integrated)
     equivalent = rows.v + rows.change * centre["slide_p"] + rows.sigma * centre["slide_i"]
     if is_integrated:  # v = q + phi_1(s)
         equivalent = equivalent + rows.s * centre["mean"]
@@ -168,18 +168,20 @@ def law_columns(problem: Problem, held_matrix: arb_mat, k_p: arb) -> list[list[a
     return [[*by_v, arb(1), arb(0)], [*by_command, arb(0), arb(0)]]  # the last two states are v and s
 
 
-def jump_distance(problem: Problem, size: arb) -> list[arb]:
-    """What a change of d_r does to zeta at another k_p than that of the middle loop, as a column over z.
+def jump_column(problem: Problem, change: arb) -> list[arb]:
+    """What a change of d_r in a sample adds to zeta beside the middle loop, as a column over z, with n entries.
+
+    zeta counts from -k_p d_r, so that at another k_p it jumps by another amount.
 
     Args:
         problem: The certificate's problem.
-        size: T_s sup |d_r'| dk_p.
+        change: T_s sup |d_r'| dk_p, where dk_p is the distance of k_p from the middle.
     """
     zeta, _, n = state_places(problem)
-    column_entries = [arb(0)] * n
+    entries = [arb(0)] * n
     for place, jump in zip(zeta, zeta_jump(problem), strict=True):
-        column_entries[place] = size * jump
-    return column_entries
+        entries[place] = change * jump
+    return entries
 
 
 def implied_bounds(
@@ -214,20 +216,19 @@ def implied_bounds(
         require_premise(holds, f"P7: the bound of signal {i} does not imply itself in {label}")
     error_change = arb(0)
     if depends_on_error(problem):
-        _, speed, _ = motion_bounds(problem, box, [command, *states])
-        error_change = arb(problem["sample_time"]) * speed
+        error_change = arb(problem["sample_time"]) * motion_bounds(problem, box, [command, *states]).speed
     if from_start and problem["rho"] is not None:
         room = arb(problem["rho"]) - signal_bounds(problem, box).offset
         slack = law.slide + slide_deviation(problem, stage, gains, centre, bounds, error_change)
         require_premise(bounds[EQUIVALENT] + slack <= room, f"P5: the equivalent control may exceed rho in {label}")
-    level, slope = disturbance_by_state(problem, box, [bound * arb(ENTERED) for bound in (command, *states)])
+    state_share = disturbance_by_state(problem, box, [bound * arb(ENTERED) for bound in (command, *states)])
     return StageLimits(
         sigma=bounds[SIGMA],
         e=bounds[ERROR],
         change=bounds[CHANGE],
         between=(states[0] + bend_between_samples(problem, box, states, command)).upper(),  # state 0 is e itself
-        level=level,
-        slope=slope,
+        level=state_share.level,
+        slope=state_share.slope,
         error_change=error_change,
     )
 
@@ -297,7 +298,8 @@ def law_deviations(
         largest_change = stage["change"]  # C
         largest_r = increment_error(problem, 0.0, largest_change)  # R(0)
         integral_by_ratio = integral_by_ratio + largest_r / arb(largest_change) * change
-    functions = function_distances(problem, stage["sigma"], stage["e"], centre, change=largest_change)
+    lines = StraightLines(centre, change=largest_change)
+    functions = function_distances(problem, stage["sigma"], stage["e"], lines)
     command_by_ratio = (distance["mean"] + distance["k_n"]) * sigma
     slide_by_ratio = distance["mean"] * sigma
     return LawDeviations(

@@ -8,19 +8,41 @@ With y = e + y_m, and s = e' + l_0 e taken at any time, not only at the samples,
 Bounds of |e|, |e'| and |e''| within a sample follow from those of the states and the command at its beginning.
 """
 
+from typing import NamedTuple
+
 from flint import arb
 
 from dssc_jax.proofs.verifier.balls import maximum, total
 from dssc_jax.proofs.verifier.certificate import Box, Problem
-from dssc_jax.proofs.verifier.enclosed_loop import inside_bounds, signal_bounds
+from dssc_jax.proofs.verifier.enclosed_loop import disturbance_effects, signal_bounds
 from dssc_jax.proofs.verifier.held_plant import flows, generator_over, state_places
 
 PIECES = 64
 """Number of equal pieces of a sample, over each of which the plant is enclosed."""
 
 
-def disturbance_by_state(problem: Problem, box: Box, bounds: list[arb]) -> tuple[arb, arb]:
-    """Bounds of what the state adds to |d| [m/s] and to |d'| [m/s^2], by the inequalities at the module's top.
+class StateShare(NamedTuple):
+    """Bounds of what the state adds to a disturbance.
+
+    Args:
+        level: Bound of what it adds to |d| [m/s].
+        slope: Bound of what it adds to |d'| [m/s^2].
+    """
+
+    level: arb
+    slope: arb
+
+
+class Motion(NamedTuple):
+    """Bounds of |e| [m], of the speed |e'| [m/s] and of the acceleration |e''| [m/s^2] at all times."""
+
+    e: arb
+    speed: arb
+    acceleration: arb
+
+
+def disturbance_by_state(problem: Problem, box: Box, bounds: list[arb]) -> StateShare:
+    """Bounds of what the state adds to the disturbance, by the inequalities at the module's top.
 
     Args:
         problem: The problem, with the level and slope of the stage.
@@ -29,7 +51,7 @@ def disturbance_by_state(problem: Problem, box: Box, bounds: list[arb]) -> tuple
     """
     k_1, k_2, k_3, k_4, k_5 = map(arb, problem["by_state"])  # k_d1 to k_d5
     if not any(problem["by_state"]):
-        return arb(0), arb(0)
+        return StateShare(arb(0), arb(0))
     e, speed, acceleration = motion_bounds(problem, box, bounds)
     reference_rate, reference_acceleration, _ = map(arb, problem["reference"])
     l0 = arb(problem["l0"])
@@ -41,11 +63,11 @@ def disturbance_by_state(problem: Problem, box: Box, bounds: list[arb]) -> tuple
     growth = k_1 * y + k_2 * y_dot + k_3  # the factor of |s| in |d|
     level = k_4 * y + growth * s
     slope = k_5 * y + k_4 * y_dot + (k_1 * y_dot + k_2 * y_ddot) * s + growth * s_dot
-    return level.upper(), slope.upper()
+    return StateShare(level.upper(), slope.upper())
 
 
-def motion_bounds(problem: Problem, box: Box, bounds: list[arb]) -> tuple[arb, arb, arb]:
-    """Bounds of |e| [m], |e'| [m/s] and |e''| [m/s^2] at all times, from bounds at the samples.
+def motion_bounds(problem: Problem, box: Box, bounds: list[arb]) -> Motion:
+    """Bounds of the error and its derivatives at all times, from bounds at the samples.
 
     Between samples chi(t) = exp(F t) chi + gamma(t) U + theta(t), where U = k_p (command + d_r).
 
@@ -59,7 +81,7 @@ def motion_bounds(problem: Problem, box: Box, bounds: list[arb]) -> tuple[arb, a
     t = arb(problem["sample_time"])
     k_p = arb(box["k_p"][1])
     generator = generator_over(problem, box)
-    disturbance_bounds = inside_bounds(problem, box, t)  # of theta
+    disturbance_bounds = disturbance_effects(problem, box, t)  # of theta
     largest = [arb(0)] * chi  # of each component of chi
     for flow in flows(generator, t, PIECES):
         for i in range(chi):
@@ -70,4 +92,4 @@ def motion_bounds(problem: Problem, box: Box, bounds: list[arb]) -> tuple[arb, a
     input_bound = abs(generator[1, chi]) * k_p * command + signal_bounds(problem, box).slope * t * k_p
     acceleration = input_bound + total([abs(generator[1, j]) * largest[j] for j in range(chi)])
     e, speed, *_ = largest
-    return e, speed, acceleration.upper()
+    return Motion(e, speed, acceleration.upper())

@@ -157,14 +157,14 @@ def verified_stages(problem: Problem, proof: BoxProof) -> list[StageLimits]:
             has_room = arb(problem["rho"]) > signal_bounds(stage_problem, box).offset
             require_premise(has_room, "P5: rho does not exceed what disturbance and reference ask for")
         gains = enclosed_gains(problem, stage["sigma"], stage["e"])
-        limits.append(limits_of(stage_problem, box, stage, gains, from_start=number == 1, label=label))
+        limits.append(verified_stage(stage_problem, box, stage, gains, from_start=number == 1, label=label))
         if number == 1:
             require_region(limits[0], arb(1), stage, f"P4: {label}")
             require_disturbance(problem, limits[0], stage, f"P8: {label}")
     return limits
 
 
-def limits_of(
+def verified_stage(
     problem: Problem, box: Box, stage: AnyStage, gains: Balls, *, from_start: bool, label: str
 ) -> StageLimits:
     """Verify one stage by its method, and return what it shows."""

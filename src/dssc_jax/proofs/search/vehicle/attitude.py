@@ -21,25 +21,24 @@ class OutOfRange(Exception):
 class Attitude:
     """Upper bounds of how far the vehicle tilts and turns, and how fast, as floating-point numbers for the search.
 
-    Names, symbols and units are those of the verifier's
-    :class:`~dssc_jax.proofs.verifier.vehicle.attitude.Attitude`, which encloses the same bounds rigorously.
+    The verifier's :class:`~dssc_jax.proofs.verifier.vehicle.attitude.Attitude` encloses the same bounds rigorously.
     """
 
-    tilt: float
-    tangent: float
-    secant: float
-    tilt_rate: float
-    yaw_rate: float
-    lift: float
-    achieved_lift: float
-    tilt_defect: float
-    euler_rate: float
-    tilt_demand: float
-    yaw_demand: float
-    frame_h: float
-    frame_z: float
-    rate_h: float
-    rate_z: float
+    tilt: float  # beta, of the tilt [rad]
+    tangent: float  # t, of the tilt's tangent
+    secant: float  # S, of the inverse of the tilt's cosine
+    tilt_rate: float  # beta_1, of |b'|, where b is the tilt as a vector of the horizontal plane [rad/s]
+    yaw_rate: float  # psi_1, of |psi'| [rad/s]
+    lift: float  # A_z, of the wanted vertical acceleration [m/s^2]
+    achieved_lift: float  # Q, of the vertical acceleration that the rotors achieve [m/s^2]
+    tilt_defect: float  # r_2, of |b_d - a_h/g| [rad]
+    euler_rate: float  # T, of |(phi', theta')| [rad/s]
+    tilt_demand: float  # H, of |(eta_phi, eta_theta)| [rad/s^2]
+    yaw_demand: float  # H_psi, of |eta_psi| [rad/s^2]
+    frame_h: float  # w_h, of B' E' across body z [rad/s^2]
+    frame_z: float  # w_z, of B' E' along body z [rad/s^2]
+    rate_h: float  # Omega_h, of the body rate across body z [rad/s]
+    rate_z: float  # Omega_z, of the body rate along body z [rad/s]
 
     @property
     def rate(self) -> float:
@@ -53,7 +52,9 @@ def attitude_of(problem: VehicleProblem, bounds: Signals) -> Attitude:
     Raises:
         OutOfRange: The lift may vanish, the tilt may exceed 1 rad, or the yaw error may reach half a turn.
     """
-    x, z, psi = bounds["x"], bounds["z"], bounds["psi"]
+    x = bounds["x"]
+    z = bounds["z"]
+    psi = bounds["psi"]
     tilt = x["alpha"] / GRAVITY  # beta, where alpha = g b
     lift = z["wanted"]  # A_z
     if not (tilt < 1.0 and lift < 0.9 * GRAVITY and psi["e"] < math.pi):

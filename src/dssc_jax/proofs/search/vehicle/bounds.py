@@ -5,6 +5,7 @@ The map F of :mod:`dssc_jax.proofs.search.vehicle.bounds_map` is applied to smal
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.search.impulse_responses import decay_of
@@ -18,12 +19,12 @@ from dssc_jax.proofs.search.vehicle.bounds_map import (
     slides,
     vehicle_totals,
 )
-from dssc_jax.proofs.search.vehicle.channels import LinearChannel, sampled_channel
-from dssc_jax.proofs.search.vehicle.deviations import Slopes, best_slopes, points_of
+from dssc_jax.proofs.search.vehicle.channels import Damping, LinearChannel, StraightLines, sampled_channel
+from dssc_jax.proofs.search.vehicle.deviations import best_lines, points_of
 from dssc_jax.proofs.search.vehicle.nominal import nominal_of
 from dssc_jax.proofs.search.vehicle.responses import channel_response
 from dssc_jax.proofs.search.vehicle.rotors import Rotors
-from dssc_jax.proofs.search.vehicle.waves import derivative, reference_waves, size
+from dssc_jax.proofs.search.vehicle.waves import derivative, largest_magnitude, reference_waves
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
 INFLATION = 2e-3
@@ -35,17 +36,17 @@ FAST_INFLATION = 1.5e-2
 SMALLEST_BOUND = 1e-12
 """Smallest bound of a signal, so that none of them is 0."""
 FIRST_REGION = 1e-3
-"""Smallest |sigma| for which slopes are chosen at first."""
+"""Smallest |sigma| for which straight lines are chosen at first."""
 ROUNDS = 12
-"""Largest number of times that the slopes are chosen."""
+"""Largest number of times that the straight lines are chosen."""
 ITERATIONS = 400
-"""Largest number of times that the map F is applied for one choice of slopes."""
+"""Largest number of times that the map F is applied for one choice of straight lines."""
 SETTLED = 1e-5
 """Relative growth of the bounds below which they count as a fixed point."""
 REGION_KEPT = 0.01
-"""Relative change of |sigma|'s bound up to which the slopes are kept."""
+"""Relative change of |sigma|'s bound up to which the straight lines are kept."""
 LARGEST_GROWTH = 2.0
-"""Ratio of |sigma|'s bound to the one for which the slopes were chosen, above which they are chosen anew."""
+"""Ratio of |sigma|'s bound to the one for which the lines were chosen, above which they are chosen anew."""
 DAMPING_SHARE = 1.7
 """The first damping of drag that is tried, over k W/M."""
 DAMPING_STEPS = (0.6, 0.8, 1.25, 1.6)
@@ -59,15 +60,15 @@ class VehicleBounds:
     """Bounds of all signals that imply themselves, with the linear channels from which they follow.
 
     Args:
-        slopes: For each channel, the slopes k_1, k_2, k_3 of the straight lines and the share s_q.
-        damping: Damping of drag in the plane and along z [1/s].
+        lines: The straight lines of each channel.
+        damping: Damping of drag.
         bounds: Y, bounds of the signals; with a moving reference, of their deviation from the nominal flight.
         rotors: Bounds of the rotors.
         totals: Bounds of the vehicle's own signals; the same as ``bounds`` where the vehicle hovers.
     """
 
-    slopes: dict[str, Slopes]
-    damping: tuple[float, float]
+    lines: dict[str, StraightLines]
+    damping: Damping
     bounds: Signals
     rotors: Rotors
     totals: Signals
@@ -84,16 +85,15 @@ class VehicleBounds:
 
 
 def vehicle_bounds(
-    problem: VehicleProblem, damping: tuple[float, float], room_factor: float, *, from_start: bool
+    problem: VehicleProblem, damping: Damping, room_factor: float, *, from_start: bool
 ) -> VehicleBounds | Obstacle:
     """Search for bounds that imply themselves, with one damping of drag.
 
-    The slopes of the straight lines suit a region of |sigma|. They are chosen again if the bounds of |sigma| turn out
-    to be others.
+    The straight lines suit a region of |sigma|. They are chosen again if the bounds of |sigma| turn out to be others.
 
     Args:
         problem: The vehicle.
-        damping: Damping of drag in the plane and along z [1/s].
+        damping: Damping of drag.
         room_factor: Factor of the room that is left for the verifier.
         from_start: Whether the bounds hold from the problem's start on; else the vehicle begins on the nominal flight.
 
@@ -104,98 +104,123 @@ def vehicle_bounds(
     first_bounds: Signals = {
         name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()
     }
-    vehicle = LinearVehicle(problem, damping, slopes={}, responses={}, nominal=None)
+    vehicle = LinearVehicle(problem, damping, lines={}, responses={}, nominal=None)
     regions = {name: max(problem.first_sigma(name), FIRST_REGION) for name in CHANNELS}
-    slope_regions: dict[str, float] = {}  # those for which the slopes were chosen
+    fitted_regions: dict[str, float] = {}  # those for which the straight lines were chosen
     for _ in range(ROUNDS):
-        moved_regions = {name: regions[name] for name in CHANNELS if has_moved(regions[name], slope_regions.get(name))}
+        moved_regions = {name: regions[name] for name in CHANNELS if has_moved(regions[name], fitted_regions.get(name))}
         if moved_regions:
-            refitted = with_new_slopes(vehicle, linear, moved_regions, from_start=from_start)
+            refitted = with_new_lines(vehicle, linear, moved_regions, from_start=from_start)
             if refitted is None:
                 return Obstacle.GAIN
             vehicle = refitted
-            slope_regions |= moved_regions
-        outcome = fixed_point_from(vehicle, first_bounds, slope_regions, room_factor)
+            fitted_regions |= moved_regions
+        outcome = fixed_point_from(vehicle, first_bounds, fitted_regions, room_factor)
         if outcome is None:
             return Obstacle.GAIN
-        bounds, is_fixed_point = outcome
-        totals, _ = vehicle_totals(vehicle.nominal, bounds)
+        totals, _ = vehicle_totals(vehicle.nominal, outcome.bounds)
         regions = {name: totals[name]["sigma"] for name in CHANNELS}
-        if is_fixed_point and not any(has_moved(regions[name], slope_regions[name]) for name in CHANNELS):
-            return checked_bounds(vehicle, bounds)
+        if outcome.is_fixed_point and not any(has_moved(regions[name], fitted_regions[name]) for name in CHANNELS):
+            return checked_bounds(vehicle, outcome.bounds)
     return Obstacle.GAIN
 
 
-def with_new_slopes(
+def with_new_lines(
     vehicle: LinearVehicle, linear: dict[str, LinearChannel], regions: dict[str, float], *, from_start: bool
 ) -> LinearVehicle | None:
-    """Choose the slopes of some channels anew, and compute their responses and the nominal flight with them.
+    """Choose the straight lines of some channels anew, and compute their responses and the nominal flight with them.
 
     Args:
         vehicle: The vehicle before.
         linear: The linear channels.
-        regions: Bound of |sigma| of each channel whose slopes are chosen.
+        regions: Bound of |sigma| of each channel whose lines are chosen.
         from_start: Whether the responses include that to the start's difference from the nominal flight.
 
     Returns:
         None if a channel is not stable, or its responses last too long.
     """
     problem = vehicle.problem
-    slopes = dict(vehicle.slopes)
+    lines = dict(vehicle.lines)
     for name, region in regions.items():
-        slopes[name] = best_slopes(points_of(problem, name, region), joint=problem.reference is not None)
-    if not is_stable(problem, linear, slopes):
+        lines[name] = best_lines(points_of(problem, name, region), joint=problem.reference is not None)
+    if not is_stable(problem, linear, lines):
         return None
-    plane_damping, _ = vehicle.damping
-    nominal = nominal_of(problem, linear, slopes, plane_damping)
+    nominal = nominal_of(problem, linear, lines, vehicle.damping.plane)
     responses = dict(vehicle.responses)
     for name in regions:
         start_offsets = nominal.starts[name] if nominal is not None and from_start else None
-        response = channel_response(problem, problem.channels[name], linear[name], slopes[name], start_offsets)
+        response = channel_response(problem, problem.channels[name], linear[name], lines[name], start_offsets)
         if response is None:
             return None
         responses[name] = response
-    return replace(vehicle, slopes=slopes, responses=responses, nominal=nominal)
+    return replace(vehicle, lines=lines, responses=responses, nominal=nominal)
 
 
-def has_moved(region: float, slope_region: float | None) -> bool:
-    """Whether a bound of |sigma| differs from the one for which the slopes were chosen; True if none were chosen."""
-    return slope_region is None or abs(region - slope_region) > REGION_KEPT * slope_region
+def has_moved(region: float, fitted_region: float | None) -> bool:
+    """Whether a bound of |sigma| differs from the one for which the lines were chosen; True if none were chosen."""
+    return fitted_region is None or abs(region - fitted_region) > REGION_KEPT * fitted_region
+
+
+class GrownBounds(NamedTuple):
+    """Bounds after the last application of the map F.
+
+    Args:
+        bounds: Y, bounds of the signals.
+        is_fixed_point: Whether they no longer grow; else |sigma| outgrew its region, and new lines must be chosen.
+    """
+
+    bounds: Signals
+    is_fixed_point: bool
 
 
 def fixed_point_from(
     vehicle: LinearVehicle, start: Signals, regions: dict[str, float], room_factor: float
-) -> tuple[Signals, bool] | None:
+) -> GrownBounds | None:
     """Apply the map F again and again, from small bounds on, until the bounds no longer grow.
 
     Args:
         vehicle: The linear channels and their responses.
         start: Bounds to begin with, of every signal of every channel.
-        regions: Bound of |sigma| of each channel for which the slopes were chosen.
+        regions: Bound of |sigma| of each channel for which the lines were chosen.
         room_factor: Factor of the room that is left for the verifier.
 
     Returns:
-        The bounds, and True if they are a fixed point, False if |sigma| outgrew its region so that the slopes must be
-        chosen again. None if the bounds leave the range of the theorem, or still grow after ``ITERATIONS``.
+        The bounds; None if they leave the range of the theorem, or still grow after ``ITERATIONS``.
     """
     y = start
     for _ in range(ITERATIONS):
         totals, _ = vehicle_totals(vehicle.nominal, y)
         try:
-            implied, _, _ = apply_map(vehicle, vehicle.deviations(totals), y)
+            implied = apply_map(vehicle, vehicle.deviations(totals), y).bounds
         except OutOfRange:
             return None
         wider: Signals = {}
         for name in CHANNELS:
             wider[name] = {key: inflated_bound(key, value, room_factor) for key, value in implied[name].items()}
-        growth = max(wider[name][key] / y[name][key] for name in CHANNELS for key in wider[name])
-        y = {name: {key: max(value, y[name][key]) for key, value in wider[name].items()} for name in CHANNELS}
+        growth = largest_growth(y, wider)
+        y = larger_bounds(y, wider)
         if growth <= 1.0 + SETTLED:
-            return y, True
+            return GrownBounds(y, is_fixed_point=True)
         growing = y if vehicle.nominal is None else totals  # the totals are those of the bounds before this step
         if any(growing[name]["sigma"] > LARGEST_GROWTH * regions[name] for name in CHANNELS):
-            return y, False
+            return GrownBounds(y, is_fixed_point=False)
     return None
+
+
+def largest_growth(before: Signals, after: Signals) -> float:
+    """The largest ratio of a bound to the one before."""
+    ratios = []
+    for name in CHANNELS:
+        ratios += [bound / before[name][key] for key, bound in after[name].items()]
+    return max(ratios)
+
+
+def larger_bounds(first: Signals, second: Signals) -> Signals:
+    """The larger one of two bounds of each signal, by channel and name."""
+    larger: Signals = {}
+    for name in CHANNELS:
+        larger[name] = {key: max(bound, first[name][key]) for key, bound in second[name].items()}
+    return larger
 
 
 def inflated_bound(signal: str, bound: float, room_factor: float) -> float:
@@ -223,17 +248,31 @@ def checked_bounds(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | Obstac
     """
     totals, _ = vehicle_totals(vehicle.nominal, y)  # bounds of the vehicle's signals, N + Y
     deviations = vehicle.deviations(totals)
-    _, remainders, rotors = apply_map(vehicle, deviations, y)
-    if not slides(vehicle.problem, deviations, totals, remainders):
+    implied = apply_map(vehicle, deviations, y)
+    if not slides(vehicle.problem, deviations, totals, implied.remainders):
         return Obstacle.SLIDING
-    return VehicleBounds(vehicle.slopes, vehicle.damping, y, rotors, totals)
+    return VehicleBounds(vehicle.lines, vehicle.damping, y, implied.rotors, totals)
+
+
+def first_damping(problem: VehicleProblem) -> Damping:
+    """The damping of drag that is tried first: ``DAMPING_SHARE`` times k W/M, where W is the wind's speed.
+
+    k W/M is about the slope of the drag over the velocity. A moving reference adds its speed to W.
+    """
+    drag_h, drag_z = problem.structure_drag
+    lightest = problem.mass[0]
+    air_speed = math.hypot(*problem.wind)
+    if problem.reference is not None:
+        waves = reference_waves(problem)
+        reference_speed = max(largest_magnitude(derivative(waves[axis])) for axis in ("x", "y"))
+        air_speed = math.hypot(air_speed, reference_speed)
+    k_h = drag_h / lightest
+    k_z = drag_z / lightest
+    return Damping(plane=DAMPING_SHARE * k_h * air_speed, vertical=DAMPING_SHARE * k_z * air_speed)
 
 
 def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool = True) -> VehicleBounds | Obstacle:
-    """Search for the bounds with the smallest |e| in the plane, over several dampings c of drag there.
-
-    c is about k_h W/M, the slope of the drag over the vehicle's velocity in the wind W. With a moving reference the
-    reference's speed adds to the wind's.
+    """Search for the bounds with the smallest |e| in the plane, over several dampings of drag there.
 
     Args:
         problem: The vehicle.
@@ -243,25 +282,17 @@ def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool
     Returns:
         The bounds, or why there are none.
     """
-    wind_h, wind_z = problem.wind
-    k_h, k_z = (k / problem.mass[0] for k in problem.structure_drag)
-    air_speed = math.hypot(wind_h, wind_z)
-    if problem.reference is not None:
-        waves = reference_waves(problem)
-        reference_speed = max(size(derivative(waves[axis])) for axis in ("x", "y"))
-        air_speed = math.hypot(air_speed, reference_speed)
-    first_damping = DAMPING_SHARE * k_h * air_speed
-    vertical_damping = DAMPING_SHARE * k_z * air_speed
+    damping = first_damping(problem)
 
-    def bounds_with(damping: float) -> VehicleBounds | Obstacle:
+    def bounds_with(plane_damping: float) -> VehicleBounds | Obstacle:
         """Bounds that imply themselves, with a damping of drag in the plane [1/s]."""
-        return vehicle_bounds(problem, (damping, vertical_damping), room_factor, from_start=from_start)
+        return vehicle_bounds(problem, damping._replace(plane=plane_damping), room_factor, from_start=from_start)
 
-    best = bounds_with(first_damping)
+    best = bounds_with(damping.plane)
     for step in DAMPING_STEPS:
-        best = with_smaller_error(best, bounds_with(step * first_damping))
+        best = with_smaller_error(best, bounds_with(step * damping.plane))
     if problem.reference is not None and not isinstance(best, Obstacle):
-        coarse_damping, _ = best.damping
+        coarse_damping = best.damping.plane
         for step in FINE_STEPS:
             best = with_smaller_error(best, bounds_with(step * coarse_damping))
     return best
@@ -287,12 +318,11 @@ def proof_of(problem: VehicleProblem, result: VehicleBounds) -> JsonObject:
 def linear_channel_proofs(problem: VehicleProblem, result: VehicleBounds) -> JsonObject:
     """Put the linear channels into the form of a certificate: slopes, share, damping, lambda and P of each."""
     linear = linear_channels(problem, result.damping)
-    plane_damping, vertical_damping = result.damping
-    dampings = {"x": plane_damping, "z": vertical_damping, "psi": 0.0}
+    dampings = {"x": result.damping.plane, "z": result.damping.vertical, "psi": 0.0}
     channels: JsonObject = {}
     for name in CHANNELS:
-        step = sampled_channel(problem, problem.channels[name], linear[name], result.slopes[name])
-        *slopes, share = result.slopes[name]
+        step = sampled_channel(problem, problem.channels[name], linear[name], result.lines[name])
+        *slopes, share = result.lines[name]
         lost_share, p = decay_of(step.a)  # of V = z'Pz in a sample
         channels[name] = {
             "slopes": slopes,

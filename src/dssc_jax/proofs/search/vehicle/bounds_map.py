@@ -7,6 +7,7 @@ docs/vehicle_proofs.md has the formulas; it calls n phi_3.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,16 +15,18 @@ from dssc_jax.proofs.search.impulse_responses import spectral_radius
 from dssc_jax.proofs.search.vehicle.attitude import Signals
 from dssc_jax.proofs.search.vehicle.channels import (
     GRAVITY,
+    Damping,
     LinearChannel,
+    StraightLines,
     planar_channel,
     sampled_channel,
     vertical_channel,
     yaw_channel,
 )
-from dssc_jax.proofs.search.vehicle.deviations import ChannelDeviations, Slopes, deviations_of, points_of
+from dssc_jax.proofs.search.vehicle.deviations import ChannelDeviations, deviations_of, points_of
 from dssc_jax.proofs.search.vehicle.nominal import Nominal
 from dssc_jax.proofs.search.vehicle.remainders import Couplings, remainders_of
-from dssc_jax.proofs.search.vehicle.responses import ChannelResponse, axes_of
+from dssc_jax.proofs.search.vehicle.responses import ChannelResponse, axis_factors
 from dssc_jax.proofs.search.vehicle.rotors import Rotors
 from dssc_jax.proofs.search.vehicle.slopes import signal_slopes
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
@@ -35,15 +38,15 @@ class LinearVehicle:
 
     Args:
         problem: The vehicle.
-        damping: Damping of drag in the plane and along z [1/s].
-        slopes: For each channel, the slopes of the straight lines and the share s_q.
+        damping: Damping of drag.
+        lines: The straight lines of each channel.
         responses: Responses of each channel.
         nominal: The nominal flight; the bounds are those of the deviation from it. None: the vehicle hovers.
     """
 
     problem: VehicleProblem
-    damping: tuple[float, float]
-    slopes: dict[str, Slopes]
+    damping: Damping
+    lines: dict[str, StraightLines]
     responses: dict[str, ChannelResponse]
     nominal: Nominal | None
 
@@ -56,21 +59,20 @@ class LinearVehicle:
             totals: Bounds of the vehicle's signals, by channel.
 
         Returns:
-            Bounds of the distances from the lines with :attr:`slopes`, by channel.
+            Bounds of the distances from the lines, by channel.
         """
         deviations = {}
         for name in CHANNELS:
             gains = points_of(self.problem, name, totals[name]["sigma"])  # at points with |sigma| up to its bound
-            deviations[name] = deviations_of(gains, self.slopes[name])
+            deviations[name] = deviations_of(gains, self.lines[name])
         return deviations
 
 
-def linear_channels(problem: VehicleProblem, damping: tuple[float, float]) -> dict[str, LinearChannel]:
-    """The linear channels by name, with the damping of drag in the plane and along z [1/s]."""
-    plane_damping, vertical_damping = damping
+def linear_channels(problem: VehicleProblem, damping: Damping) -> dict[str, LinearChannel]:
+    """The linear channels by name, with the damping of drag."""
     return {
-        "x": planar_channel(problem, plane_damping),
-        "z": vertical_channel(problem, vertical_damping),
+        "x": planar_channel(problem, damping.plane),
+        "z": vertical_channel(problem, damping.vertical),
         "psi": yaw_channel(problem),
     }
 
@@ -125,17 +127,29 @@ def bounds_at_points(
         sizes: Bounds of its inputs omega_u, omega_r and remainders, shape (inputs,).
     """
     channel = problem.channels[name]
-    axes = axes_of(name, response)  # h, the factor for the vector of both axes' omegas
-    bound = axes * (response.gains[..., :2] @ sizes[:2]) + response.gains[..., 2:] @ sizes[2:]
+    factors = axis_factors(name, response)  # h
+    bound = factors * (response.gains[..., :2] @ sizes[:2]) + response.gains[..., 2:] @ sizes[2:]
     bound = bound + problem.thrust_deviation * GRAVITY * response.constant + response.start_offset
     by_start = response.starts[..., :2] @ np.array(channel.initial)  # E_0 and V_0
     start_deviation = deviations.of_start(channel.start, problem.first_sigma(name), problem.sample_time)  # of q_(-1)
-    return bound + by_start + axes * start_deviation * response.starts[..., 2]
+    return bound + by_start + factors * start_deviation * response.starts[..., 2]
 
 
-def apply_map(
-    vehicle: LinearVehicle, deviations: dict[str, ChannelDeviations], y: Signals
-) -> tuple[Signals, Signals, Rotors]:
+class ImpliedBounds(NamedTuple):
+    """What bounds Y of the signals imply.
+
+    Args:
+        bounds: F(Y), bounds of the signals.
+        remainders: Bounds of the remainders, by channel and name.
+        rotors: Bounds of the rotors.
+    """
+
+    bounds: Signals
+    remainders: Signals
+    rotors: Rotors
+
+
+def apply_map(vehicle: LinearVehicle, deviations: dict[str, ChannelDeviations], y: Signals) -> ImpliedBounds:
     """Apply the map F to bounds of the signals.
 
     Args:
@@ -143,23 +157,20 @@ def apply_map(
         deviations: How far each channel's functions are from straight lines.
         y: Y, bounds of the signals, or of their deviation from the nominal flight.
 
-    Returns:
-        F(Y), bounds of the remainders, and bounds of the rotors.
-
     Raises:
         OutOfRange: The vehicle may leave the range of the theorem.
     """
     problem = vehicle.problem
     totals, couplings = vehicle_totals(vehicle.nominal, y)
-    remainders, rotors = remainders_of(problem, totals, vehicle.damping, couplings=couplings)
-    slopes = signal_slopes(problem, y, remainders, vehicle.damping)
+    remainders = remainders_of(problem, totals, vehicle.damping, couplings=couplings)
+    slopes = signal_slopes(problem, y, remainders.channels, vehicle.damping)
     implied: Signals = {}
     for name in CHANNELS:
         response = vehicle.responses[name]
-        sizes = input_sizes(response, deviations[name], totals[name]["sigma"], remainders[name])
+        sizes = input_sizes(response, deviations[name], totals[name]["sigma"], remainders.channels[name])
         point_bounds = bounds_at_points(problem, name, response, deviations[name], sizes)
         implied[name] = with_slopes(problem, response, point_bounds, slopes[name])
-    return implied, remainders, rotors
+    return ImpliedBounds(implied, remainders.channels, remainders.rotors)
 
 
 def slides(
@@ -175,14 +186,14 @@ def slides(
     """
     t = problem.sample_time
     for name, channel in problem.channels.items():
-        k_p, k_i, reach = deviations[name].steepest  # K_P, K_I and 1 + tau_av/T_s
-        largest_phi_1_distance, _, _ = deviations[name].distance  # D_1
+        k_p, k_i, reach = deviations[name].steepest
+        phi_1_distance = deviations[name].distance.phi_1  # D_1
         force = remainders[name]["torque" if name == "psi" else "force"]
         if name == "z":
             force += problem.thrust_deviation * GRAVITY  # |o| <= k g
         sigma_dot = totals[name]["bend"] + force  # S'
         integral_rate = k_i * totals[name]["sigma"]
-        level = max(totals[name]["u_av"] + largest_phi_1_distance, 0.5 * t * integral_rate)  # V_a
+        level = max(totals[name]["u_av"] + phi_1_distance, 0.5 * t * integral_rate)  # V_a
         if level + t * reach * (k_p * sigma_dot + integral_rate) > channel.rho:
             return False
         if channel.start == "zero" and reach * (k_p + t * k_i) * problem.first_sigma(name) > channel.rho:
@@ -202,7 +213,7 @@ def vehicle_totals(nominal: Nominal | None, y: Signals) -> tuple[Signals, Coupli
     return nominal.totals(y), nominal.couplings(y)
 
 
-def is_stable(problem: VehicleProblem, linear: dict[str, LinearChannel], slopes: dict[str, Slopes]) -> bool:
+def is_stable(problem: VehicleProblem, linear: dict[str, LinearChannel], lines: dict[str, StraightLines]) -> bool:
     """Whether all channels are stable at their samples, with straight lines in place of the functions."""
-    steps = [sampled_channel(problem, problem.channels[name], linear[name], slopes[name]) for name in CHANNELS]
+    steps = [sampled_channel(problem, problem.channels[name], linear[name], lines[name]) for name in CHANNELS]
     return all(spectral_radius(step.a) < 1.0 for step in steps)

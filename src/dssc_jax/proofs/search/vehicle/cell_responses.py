@@ -6,11 +6,24 @@ docs/vehicle_proofs.md. In floating point.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.proofs.search.vehicle.responses import ChannelResponse, ChannelSeries, axes_of
+from dssc_jax.proofs.search.vehicle.responses import ChannelResponse, ChannelSeries, axis_factors
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
+
+
+class CellLayout(NamedTuple):
+    """How time is cut into cells.
+
+    Args:
+        samples: Number of samples of a cell other than the last.
+        earlier_cells: Number of cells before the last one, which has no end.
+    """
+
+    samples: int
+    earlier_cells: int
 
 
 @dataclass(frozen=True)
@@ -40,7 +53,7 @@ class CellResponses:
 
 
 def cell_responses(
-    problem: VehicleProblem, name: str, response: ChannelResponse, series: ChannelSeries, samples: int, count: int
+    problem: VehicleProblem, name: str, response: ChannelResponse, series: ChannelSeries, layout: CellLayout
 ) -> CellResponses:
     """Gather the responses of a channel, sample by sample, into time cells.
 
@@ -49,34 +62,38 @@ def cell_responses(
         name: Name of the channel.
         response: Its responses without cells.
         series: Its responses sample by sample.
-        samples: Number of samples of a cell.
-        count: Number of cells before the last one.
+        layout: The layout of the cells.
     """
-    e, speed = problem.channels[name].initial
+    e, e_dot = problem.channels[name].initial
     by_e, by_e_dot, by_q = np.moveaxis(np.abs(series.starts), -1, 0)
-    starts = np.stack([e * by_e + speed * by_e_dot + series.start_offset, by_q], axis=-1)
+    starts = np.stack([e * by_e + e_dot * by_e_dot + series.start_offset, by_q], axis=-1)
     sums = np.cumsum(series.effects, axis=0)  # G_l
-    axes = np.tile(axes_of(name, response), response.gains.shape[0])  # h of each row
-    factors = np.ones((axes.size, sums.shape[-1]))
-    factors[:, :2] = axes[:, None]  # omega_u and omega_r of both axes are one vector
-    starts_in_cells = with_last(in_cells(starts, samples), count)
-    starts_in_cells[..., 1] *= axes
-    upper = sums[samples - 1 :: samples] * factors  # at the last sample of each cell
+    row_factors = np.tile(axis_factors(name, response), response.gains.shape[0])  # h of each row
+    factors = np.ones((row_factors.size, sums.shape[-1]))
+    factors[:, :2] = row_factors[:, None]  # omega_u and omega_r of both axes are one vector
+    starts_in_cells = largest_in_cells(starts, layout)
+    starts_in_cells[..., 1] *= row_factors
+    upper = sums[layout.samples - 1 :: layout.samples] * factors  # at the last sample of each cell
     return CellResponses(
         response=response,
         upper=upper,
         lower=np.concatenate([sums[:1] * factors, upper[:-1]]),
-        total_sum=response.gains.reshape(axes.size, -1) * factors,
-        constant=with_last(in_cells(np.abs(series.constant), samples), count),
+        total_sum=response.gains.reshape(row_factors.size, -1) * factors,
+        constant=largest_in_cells(np.abs(series.constant), layout),
         starts=starts_in_cells,
     )
 
 
-def in_cells(values: np.ndarray, samples: int) -> np.ndarray:
-    """The largest value in each cell of some samples, shape (cells, ...), from values of shape (cells samples, ...)."""
-    return values.reshape(-1, samples, *values.shape[1:]).max(axis=1)
+def largest_in_cells(values: np.ndarray, layout: CellLayout) -> np.ndarray:
+    """The largest value in each cell, then in the last cell, which has all later samples.
 
+    Args:
+        values: Values at the samples, shape (samples, ...).
+        layout: The layout of the cells.
 
-def with_last(values: np.ndarray, count: int) -> np.ndarray:
-    """The values of the first ``count`` cells, then the largest of all later cells, shape (count + 1, ...)."""
-    return np.concatenate([values[:count], values[count:].max(axis=0)[None]])
+    Returns:
+        Shape (cells + 1, ...).
+    """
+    largest = values.reshape(-1, layout.samples, *values.shape[1:]).max(axis=1)
+    largest_in_last = largest[layout.earlier_cells :].max(axis=0)
+    return np.concatenate([largest[: layout.earlier_cells], largest_in_last[None]])

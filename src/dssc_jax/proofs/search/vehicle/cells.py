@@ -8,6 +8,7 @@ cell are a fixed point of their own. docs/vehicle_proofs.md has the theorem.
 import math
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,15 +30,9 @@ from dssc_jax.proofs.search.vehicle.bounds_map import (
     vehicle_totals,
     with_slopes,
 )
-from dssc_jax.proofs.search.vehicle.cell_responses import CellResponses, cell_responses
-from dssc_jax.proofs.search.vehicle.channels import GRAVITY
-from dssc_jax.proofs.search.vehicle.deviations import (
-    ChannelDeviations,
-    Slopes,
-    best_slopes,
-    deviations_of,
-    points_of,
-)
+from dssc_jax.proofs.search.vehicle.cell_responses import CellLayout, CellResponses, cell_responses
+from dssc_jax.proofs.search.vehicle.channels import GRAVITY, Damping, StraightLines
+from dssc_jax.proofs.search.vehicle.deviations import ChannelDeviations, best_lines, deviations_of, points_of
 from dssc_jax.proofs.search.vehicle.nominal import Nominal, nominal_of
 from dssc_jax.proofs.search.vehicle.remainders import remainders_of
 from dssc_jax.proofs.search.vehicle.responses import channel_response, channel_series
@@ -50,11 +45,11 @@ LAYOUTS = ((0.2, 10.0), (0.2, 20.0), (0.5, 60.0))
 MOVING_LAYOUTS = LAYOUTS[2:]
 """The layouts for a moving reference: the vehicle starts far from the nominal flight, and its wind acts for long."""
 REGION_SHARES = (0.3, 0.6, 0.9, 0.0)
-"""Regions for which slopes are tried: shares of the way from the settled |sigma| to the start's, in logarithms."""
+"""Regions for which lines are tried: shares of the way from the settled |sigma| to the start's, in logarithms."""
 REGIONS = tuple((share, 1.0) for share in REGION_SHARES)
 """The same with a widening of the region of 1."""
 MOVING_REGIONS = ((0.3, 1.0), (0.3, 1.12), (0.3, 1.25))
-"""Shares of the way, and widenings of the region, for which slopes are tried if the reference moves."""
+"""Shares of the way, and widenings of the region, for which lines are tried if the reference moves."""
 EXTRA_CELLS = 20
 """Number of cells of the last cell's time whose responses to start and constant are compared for the largest."""
 ITERATIONS = 400
@@ -74,8 +69,8 @@ class CellBounds:
     """Bounds of all signals in time cells that imply themselves.
 
     Args:
-        final: The bounds of the last cell, with the slopes and the damping of all cells.
-        settled: The bounds of the vehicle that starts at rest, with the slopes and the damping of the upper limits.
+        final: The bounds of the last cell, with the lines and the damping of all cells.
+        settled: The bounds of the vehicle that starts at rest, with the lines and the damping of the upper limits.
         samples: Number of samples of a cell other than the last.
         cells: Bounds of the signals in each cell other than the last.
     """
@@ -94,14 +89,14 @@ class DeviationTable:
     Args:
         problem: The vehicle.
         name: Name of the channel.
-        slopes: Slopes of the lines, and the share s_q.
+        lines: The straight lines.
     """
 
-    def __init__(self, problem: VehicleProblem, name: str, slopes: Slopes) -> None:
+    def __init__(self, problem: VehicleProblem, name: str, lines: StraightLines) -> None:
         """Begin with an empty table."""
         self.problem = problem
         self.name = name
-        self.slopes = slopes
+        self.lines = lines
         self.entries: dict[int, ChannelDeviations] = {}
 
     def at(self, sigma: float) -> ChannelDeviations:
@@ -109,7 +104,7 @@ class DeviationTable:
         step = math.ceil(math.log(max(sigma, SMALLEST_REGION)) / math.log(TABLE_RATIO))
         if step not in self.entries:
             region = TABLE_RATIO**step
-            self.entries[step] = deviations_of(points_of(self.problem, self.name, region), self.slopes)
+            self.entries[step] = deviations_of(points_of(self.problem, self.name, region), self.lines)
         return self.entries[step]
 
 
@@ -119,7 +114,7 @@ class CellSearch:
 
     Args:
         problem: The vehicle.
-        damping: Damping of drag in the plane and along z [1/s].
+        damping: Damping of drag.
         nominal: The nominal flight; the bounds are those of the deviation from it. None: the vehicle hovers.
         responses: Responses of each channel in time cells.
         tables: How far each channel's functions are from straight lines.
@@ -127,7 +122,7 @@ class CellSearch:
     """
 
     problem: VehicleProblem
-    damping: tuple[float, float]
+    damping: Damping
     nominal: Nominal | None
     responses: dict[str, CellResponses]
     tables: dict[str, DeviationTable]
@@ -135,7 +130,7 @@ class CellSearch:
 
 
 def cell_bounds(problem: VehicleProblem, room_factor: float) -> CellBounds | Obstacle:
-    """Search for bounds in time cells, with several layouts of cells and several slopes, until one choice succeeds.
+    """Search for bounds in time cells; the first layout of cells and straight lines that have bounds are taken.
 
     Args:
         problem: The vehicle.
@@ -152,9 +147,12 @@ def cell_bounds(problem: VehicleProblem, room_factor: float) -> CellBounds | Obs
     regions = MOVING_REGIONS if is_moving else REGIONS
     result: CellBounds | Obstacle = Obstacle.GAIN
     for (duration, last_begin), (share, widening) in product(layouts, regions):
-        samples = max(1, round(duration / problem.sample_time))
-        slopes = {name: slopes_between(problem, name, settled.regions[name], share, widening) for name in CHANNELS}
-        result = bounds_cell_by_cell(problem, settled, slopes, samples, round(last_begin / duration), room_factor)
+        layout = CellLayout(
+            samples=max(1, round(duration / problem.sample_time)),
+            earlier_cells=round(last_begin / duration),
+        )
+        lines = {name: lines_between(problem, name, settled.regions[name], share, widening) for name in CHANNELS}
+        result = bounds_cell_by_cell(problem, settled, lines, layout, room_factor)
         if not isinstance(result, Obstacle):
             return result
     return result
@@ -166,8 +164,8 @@ def settled_bounds(problem: VehicleProblem, room_factor: float) -> VehicleBounds
     return best_bounds(replace(problem, channels=resting), room_factor, from_start=False)
 
 
-def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: float, widening: float) -> Slopes:
-    """The best slopes of a channel for a region of |sigma| between the settled vehicle's and the start's.
+def lines_between(problem: VehicleProblem, name: str, sigma: float, share: float, widening: float) -> StraightLines:
+    """The best straight lines of a channel for a region of |sigma| between the settled vehicle's and the start's.
 
     Args:
         problem: The vehicle.
@@ -178,15 +176,14 @@ def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: floa
     """
     start_sigma = problem.first_sigma(name)
     region = sigma * (start_sigma / sigma) ** share if start_sigma > sigma else sigma
-    return best_slopes(points_of(problem, name, widening * region), joint=problem.reference is not None)
+    return best_lines(points_of(problem, name, widening * region), joint=problem.reference is not None)
 
 
 def bounds_cell_by_cell(
     problem: VehicleProblem,
     settled: VehicleBounds,
-    slopes: dict[str, Slopes],
-    samples: int,
-    count: int,
+    lines: dict[str, StraightLines],
+    layout: CellLayout,
     room_factor: float,
 ) -> CellBounds | Obstacle:
     """Search for bounds that imply themselves in one cell after the other, the last one included.
@@ -194,62 +191,60 @@ def bounds_cell_by_cell(
     Args:
         problem: The vehicle.
         settled: Bounds of the settled vehicle, whose damping of drag is taken.
-        slopes: For each channel, the slopes of the straight lines and the share s_q.
-        samples: Number of samples of a cell.
-        count: Number of cells before the last one.
+        lines: The straight lines of each channel.
+        layout: The layout of the cells.
         room_factor: Factor of the room that is left for the verifier.
     """
-    search = cell_search(problem, settled.damping, slopes, samples, count, room_factor)
+    search = cell_search(problem, settled.damping, lines, layout, room_factor)
     if search is None:
         return Obstacle.GAIN
     cells: list[Signals] = []
     inputs: dict[str, list[np.ndarray]] = {name: [] for name in CHANNELS}
     rotors: Rotors | None = None
     y: Signals = {name: dict.fromkeys(search.responses[name].response.names, FIRST_BOUND) for name in CHANNELS}
-    for _ in range(count + 1):
-        fixed_point = cell_fixed_point(search, inputs, y, rotors, final=len(cells) == count)
+    for cell in range(layout.earlier_cells + 1):
+        fixed_point = cell_fixed_point(search, inputs, y, rotors, is_last=cell == layout.earlier_cells)
         if fixed_point is None:
             return Obstacle.GAIN
-        y, sizes, rotors = fixed_point
+        y = fixed_point.bounds
+        rotors = fixed_point.rotors
         cells.append(y)
         for name in CHANNELS:
-            inputs[name].append(sizes[name])
+            inputs[name].append(fixed_point.inputs[name])
     if not slides_in_all_cells(search, cells):
         return Obstacle.SLIDING
     assert rotors is not None
     totals, _ = vehicle_totals(search.nominal, cells[-1])
-    final = VehicleBounds(slopes, settled.damping, cells[-1], rotors, totals)
-    return CellBounds(final, settled, samples, cells[:-1])
+    final = VehicleBounds(lines, settled.damping, cells[-1], rotors, totals)
+    return CellBounds(final, settled, layout.samples, cells[:-1])
 
 
 def cell_search(
     problem: VehicleProblem,
-    damping: tuple[float, float],
-    slopes: dict[str, Slopes],
-    samples: int,
-    count: int,
+    damping: Damping,
+    lines: dict[str, StraightLines],
+    layout: CellLayout,
     room_factor: float,
 ) -> CellSearch | None:
     """Compute what the search in all cells has in common; None if a channel is unstable or its responses last too long.
 
-    The arguments are those of :func:`bounds_cell_by_cell`, with the damping of drag in the plane and along z [1/s].
+    The arguments are those of :func:`bounds_cell_by_cell`, with the damping of drag.
     """
     linear = linear_channels(problem, damping)
-    if not is_stable(problem, linear, slopes):
+    if not is_stable(problem, linear, lines):
         return None
-    plane_damping, _ = damping
-    nominal = nominal_of(problem, linear, slopes, plane_damping)
-    length = samples * (count + EXTRA_CELLS)
+    nominal = nominal_of(problem, linear, lines, damping.plane)
+    length = layout.samples * (layout.earlier_cells + EXTRA_CELLS)
     responses = {}
     for name in CHANNELS:
         channel = problem.channels[name]
         start_offsets = None if nominal is None else nominal.starts[name]
-        response = channel_response(problem, channel, linear[name], slopes[name], start_offsets)
+        response = channel_response(problem, channel, linear[name], lines[name], start_offsets)
         if response is None:
             return None
-        series = channel_series(problem, channel, linear[name], slopes[name], length, start_offsets)
-        responses[name] = cell_responses(problem, name, response, series, samples, count)
-    tables = {name: DeviationTable(problem, name, slopes[name]) for name in CHANNELS}
+        series = channel_series(problem, channel, linear[name], lines[name], length, start_offsets)
+        responses[name] = cell_responses(problem, name, response, series, layout)
+    tables = {name: DeviationTable(problem, name, lines[name]) for name in CHANNELS}
     return CellSearch(problem, damping, nominal, responses, tables, room_factor)
 
 
@@ -266,15 +261,29 @@ def cells_proof_of(problem: VehicleProblem, result: CellBounds) -> JsonObject:
     return proof_of(problem, result.final) | {"cells": cells, "settled": settled}
 
 
+class CellFixedPoint(NamedTuple):
+    """Bounds in one cell that imply themselves.
+
+    Args:
+        bounds: Bounds of the signals.
+        inputs: Bounds of each channel's inputs that they allow, shape (inputs,) each.
+        rotors: Bounds of the rotors.
+    """
+
+    bounds: Signals
+    inputs: dict[str, np.ndarray]
+    rotors: Rotors
+
+
 def cell_fixed_point(
     search: CellSearch,
     inputs: dict[str, list[np.ndarray]],
     start: Signals,
     earlier: Rotors | None,
     *,
-    final: bool,
-) -> tuple[Signals, dict[str, np.ndarray], Rotors] | None:
-    """Search for bounds of the signals in one cell that imply themselves, given the inputs of the cells before.
+    is_last: bool,
+) -> CellFixedPoint | None:
+    """Search for bounds in one cell that imply themselves; None if there are none.
 
     The search begins at the bounds of the cell before: in the last cell, smaller bounds are not better, since earlier
     inputs then exceed them by more.
@@ -284,10 +293,7 @@ def cell_fixed_point(
         inputs: Bounds of each channel's inputs in the cells before, shape (inputs,) each.
         start: Bounds of the signals to begin with.
         earlier: Bounds of the rotors in the cells before; None in the first one.
-        final: Whether the cell is the last one.
-
-    Returns:
-        Bounds of the signals, bounds of the inputs that they allow, and bounds of the rotors; None if there are none.
+        is_last: Whether the cell is the last one.
     """
     problem = search.problem
     from_start = {name: start_effects(search, name, cell=len(inputs[name])) for name in CHANNELS}
@@ -295,29 +301,39 @@ def cell_fixed_point(
     for _ in range(ITERATIONS):
         totals, couplings = vehicle_totals(search.nominal, y)
         try:
-            remainders, rotors = remainders_of(problem, totals, search.damping, earlier, couplings)
+            remainders = remainders_of(problem, totals, search.damping, earlier, couplings)
         except OutOfRange:
             return None
-        slopes = signal_slopes(problem, y, remainders, search.damping)
+        slopes = signal_slopes(problem, y, remainders.channels, search.damping)
         sizes = {}
         implied = {}
         for name in CHANNELS:
             responses = search.responses[name]
             sigma = totals[name]["sigma"]
-            sizes[name] = input_sizes(responses.response, search.tables[name].at(sigma), sigma, remainders[name])
-            rows = from_start[name] + input_effects(responses, inputs[name], sizes[name], final=final)
+            sizes[name] = input_sizes(
+                responses.response, search.tables[name].at(sigma), sigma, remainders.channels[name]
+            )
+            rows = from_start[name] + input_effects(responses, inputs[name], sizes[name], is_last=is_last)
             point_bounds = rows.reshape(responses.response.gains.shape[:2])  # (points, signals)
             bounds = with_slopes(problem, responses.response, point_bounds, slopes[name])
             implied[name] = {key: inflated_bound(key, bound, search.room_factor) for key, bound in bounds.items()}
-        changes = [abs(implied[name][key] / y[name][key] - 1.0) for name in CHANNELS for key in implied[name]]
+        change = largest_change(y, implied)
         y = implied
-        if max(changes) <= SETTLED:
-            return y, sizes, rotors
+        if change <= SETTLED:
+            return CellFixedPoint(y, sizes, remainders.rotors)
     return None
 
 
+def largest_change(before: Signals, after: Signals) -> float:
+    """The largest relative change of a bound."""
+    changes = []
+    for name in CHANNELS:
+        changes += [abs(bound / before[name][key] - 1.0) for key, bound in after[name].items()]
+    return max(changes)
+
+
 def input_effects(
-    responses: CellResponses, inputs: list[np.ndarray], current: np.ndarray, *, final: bool
+    responses: CellResponses, inputs: list[np.ndarray], current: np.ndarray, *, is_last: bool
 ) -> np.ndarray:
     """Bounds of what a channel's inputs in a cell and in the cells before cause in the cell, shape (rows,).
 
@@ -328,7 +344,7 @@ def input_effects(
         responses: Responses of the channel in time cells.
         inputs: Bounds of its inputs in the cells before, shape (inputs,) each.
         current: Bounds of its inputs in the cell, shape (inputs,).
-        final: Whether the cell is the last one.
+        is_last: Whether the cell is the last one.
     """
     sizes = np.array([*inputs, current])
     first = sizes[0]
@@ -339,7 +355,7 @@ def input_effects(
     # entry k of ``upper`` and ``lower`` belongs to a change k cells ago: the last change has entry 0
     upper = np.flip(responses.upper[:count], axis=0)
     lower = np.flip(responses.lower[:count], axis=0)
-    if final:
+    if is_last:
         effects = responses.total_sum @ (first + rises.sum(axis=0))
     else:
         effects = responses.upper[count] @ first
@@ -372,8 +388,8 @@ def slides_in_all_cells(search: CellSearch, cells: list[Signals]) -> bool:
         largest[name] = {key: max(cell[name][key] for cell in cells) for key in cells[0][name]}
     totals, couplings = vehicle_totals(search.nominal, largest)
     try:
-        remainders, _ = remainders_of(search.problem, totals, search.damping, couplings=couplings)
+        remainders = remainders_of(search.problem, totals, search.damping, couplings=couplings)
     except OutOfRange:
         return False
     deviations = {name: search.tables[name].at(totals[name]["sigma"]) for name in CHANNELS}
-    return slides(search.problem, deviations, totals, remainders)
+    return slides(search.problem, deviations, totals, remainders.channels)

@@ -5,7 +5,7 @@ has besides are the remainders r_j. docs/vehicle_proofs.md has the equations.
 """
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
@@ -14,8 +14,41 @@ from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 
 GRAVITY = 9.81
 """g [m/s^2]."""
-Signal: TypeAlias = tuple[np.ndarray, float]
-"""The row C, shape (m,), and the number d of a signal C chi + d U."""
+
+
+class Signal(NamedTuple):
+    """A signal C chi + d U of a linear channel.
+
+    Args:
+        row: C, shape (m,).
+        direct: d, the factor of the command that acts.
+    """
+
+    row: np.ndarray
+    direct: float
+
+
+class Damping(NamedTuple):
+    """Damping c of drag [1/s] in the linear channels: of x and y, and of z."""
+
+    plane: float
+    vertical: float
+
+
+class StraightLines(NamedTuple):
+    """The straight lines in place of a channel's functions phi_1, phi_2 and n.
+
+    Args:
+        k_1: Slope of the line in place of phi_1.
+        k_2: Slope of the line in place of phi_2 [1/s].
+        k_3: Slope of the line in place of n.
+        share: s_q, the share of omega_u in omega_q.
+    """
+
+    k_1: float
+    k_2: float
+    k_3: float
+    share: float
 
 
 @dataclass(frozen=True)
@@ -23,15 +56,15 @@ class LinearChannel:
     """A linear channel chi' = A_c chi + B_c U + sum of b_j r_j with signals C chi + d U; U is the command that acts.
 
     Args:
-        f: A_c, shape (m, m).
-        g: B_c, shape (m,).
-        b: Columns b_j of the remainders r_j, by name, shape (m,) each.
-        signals: Rows C and numbers d of the signals, by name.
+        dynamics: A_c, shape (m, m).
+        control: B_c, shape (m,).
+        remainders: Columns b_j of the remainders r_j, by name, shape (m,) each.
+        signals: The signals, by name.
     """
 
-    f: np.ndarray
-    g: np.ndarray
-    b: dict[str, np.ndarray]
+    dynamics: np.ndarray
+    control: np.ndarray
+    remainders: dict[str, np.ndarray]
     signals: dict[str, Signal]
 
 
@@ -44,26 +77,25 @@ class SampledChannel:
 
     Args:
         a: A, shape (n, n).
+        by_command: b_u, with the share s_q of b_q, shape (n,).
+        by_integral: b_q, shape (n,).
         acting: The command that acts, as a row over z, shape (n,).
-        direct: Share of this sample's command in it; 1 without a delay.
-        u: b_u, with the share s_q of b_q, shape (n,).
-        q: b_q, shape (n,).
-        u_av: q_k + k_1 sigma_k as a row over z, shape (n,).
+        fresh: Share of this sample's command in it; 1 without a delay.
+        equivalent: u_av = q_k + k_1 sigma_k as a row over z, shape (n,).
     """
 
     a: np.ndarray
+    by_command: np.ndarray
+    by_integral: np.ndarray
     acting: np.ndarray
-    direct: float
-    u: np.ndarray
-    q: np.ndarray
-    u_av: np.ndarray
+    fresh: float
+    equivalent: np.ndarray
 
 
 class ChannelBuilder:
-    """A :class:`LinearChannel` under construction, chi' = slopes chi + control U + remainders.
+    """A :class:`LinearChannel` under construction; its attributes have the names and meanings of that class.
 
-    ``states`` has each state as a row over chi. ``slopes`` has the rows of A_c, ``control`` is B_c, ``remainders`` has
-    the columns b_j by name, and ``signals`` the signals besides e, e', sigma and bend.
+    ``states`` has each state as a row over chi. ``signals`` has the signals besides e, e', sigma and bend.
 
     Args:
         count: Number of states without a rotor lag; the first two are e and e'.
@@ -74,45 +106,45 @@ class ChannelBuilder:
         """Begin with chi' = 0, no remainders and no signals."""
         m = count + lag
         self.states = np.eye(m)
-        self.slopes = np.zeros((m, m))
+        self.dynamics = np.zeros((m, m))
         self.control = np.zeros(m)
         self.remainders: dict[str, np.ndarray] = {}
         self.signals: dict[str, Signal] = {}
 
-    def drive(self, index: int, demand: Signal, lag: float, response: str) -> None:
-        """Let a demand be the derivative of a state, at once or through the rotors' lag.
+    def drive(self, place: int, demand: Signal, lag: float, achieved_name: str) -> None:
+        """Make a demand the derivative of a state, at once or through the rotors' lag.
 
-        With a lag tau the derivative is the last state, and its own derivative is (demand - last state)/tau plus the
-        remainder ``lag``.
+        With a lag tau the derivative is the achieved value, which is the last state. Its derivative is (demand -
+        achieved)/tau plus the remainder ``lag``. The signal ``behind`` is then demand - achieved.
 
         Args:
-            index: Place of the driven state.
-            demand: The demand, a signal C chi + d U.
+            place: Place of the driven state in chi.
+            demand: The demand.
             lag: tau [s]; 0: none.
-            response: Name of the last state as a signal; how far it is behind the demand becomes ``behind``.
+            achieved_name: Name of the achieved value as a signal.
         """
-        row, direct = demand
         if not lag:
-            self.slopes[index] = row
-            self.control[index] = direct
+            self.dynamics[place] = demand.row
+            self.control[place] = demand.direct
             return
         achieved = self.states[-1]
-        self.slopes[index] = achieved
-        self.slopes[-1] = (row - achieved) / lag
-        self.control[-1] = direct / lag
+        difference = demand.row - achieved
+        self.dynamics[place] = achieved
+        self.dynamics[-1] = difference / lag
+        self.control[-1] = demand.direct / lag
         self.remainders["lag"] = achieved  # a unit column at the last state
-        self.signals |= {response: (achieved, 0.0), "behind": (row - achieved, direct)}
+        self.signals |= {achieved_name: Signal(achieved, 0.0), "behind": Signal(difference, demand.direct)}
 
     def channel(self, controller: ChannelProblem) -> LinearChannel:
         """The finished channel, with the controller's signals e, e', sigma = e' + l_0 e and bend = e'' + l_0 e'."""
         e, e_dot = self.states[:2]
         errors = {
-            "e": (e, 0.0),
-            "e_dot": (e_dot, 0.0),
-            "sigma": (e_dot + controller.l0 * e, 0.0),
-            "bend": (self.slopes[1] + controller.l0 * e_dot, self.control[1]),
+            "e": Signal(e, 0.0),
+            "e_dot": Signal(e_dot, 0.0),
+            "sigma": Signal(e_dot + controller.l0 * e, 0.0),
+            "bend": Signal(self.dynamics[1] + controller.l0 * e_dot, self.control[1]),
         }
-        return LinearChannel(self.slopes, self.control, self.remainders, errors | self.signals)
+        return LinearChannel(self.dynamics, self.control, self.remainders, errors | self.signals)
 
 
 def planar_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
@@ -130,13 +162,19 @@ def planar_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
     a_1 = problem.damping
     builder = ChannelBuilder(4, lag=problem.rotor_lag > 0.0)
     _, e_dot, alpha, alpha_dot = builder.states[:4]
-    demand = (-k_v * e_dot, k_v)  # a_h = k_v (U - e')
-    turn = (a_0 * (-k_v * e_dot - alpha) - a_1 * alpha_dot, a_0 * k_v)  # m
-    builder.slopes[:3] = [e_dot, alpha - damping * e_dot, alpha_dot]
+    demand = Signal(-k_v * e_dot, k_v)  # a_h = k_v (U - e')
+    turn = Signal(a_0 * (-k_v * e_dot - alpha) - a_1 * alpha_dot, a_0 * k_v)  # m
+    builder.dynamics[:3] = [e_dot, alpha - damping * e_dot, alpha_dot]
     builder.drive(3, turn, problem.rotor_lag, "gamma")
     builder.remainders |= {"force": e_dot, "torque": alpha_dot}
-    builder.signals |= {"alpha": (alpha, 0.0), "alpha_dot": (alpha_dot, 0.0), "wanted": demand, "turn": turn}
-    builder.signals |= {"speed": (e_dot, 0.0), "acceleration": (builder.slopes[1], 0.0)}
+    builder.signals |= {
+        "alpha": Signal(alpha, 0.0),
+        "alpha_dot": Signal(alpha_dot, 0.0),
+        "wanted": demand,
+        "turn": turn,
+        "speed": Signal(e_dot, 0.0),
+        "acceleration": Signal(builder.dynamics[1], 0.0),
+    }
     return builder.channel(problem.channels["x"])
 
 
@@ -153,12 +191,12 @@ def vertical_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
     k_v = problem.velocity_gain
     builder = ChannelBuilder(2, lag=problem.rotor_lag > 0.0)
     e_dot = builder.states[1]
-    demand = (-k_v * e_dot, k_v)  # a_z = k_v (U - e')
-    builder.slopes[0] = e_dot
+    demand = Signal(-k_v * e_dot, k_v)  # a_z = k_v (U - e')
+    builder.dynamics[0] = e_dot
     builder.drive(1, demand, problem.rotor_lag, "lift")
-    builder.slopes[1] -= damping * e_dot
+    builder.dynamics[1] -= damping * e_dot
     builder.remainders["force"] = e_dot
-    builder.signals |= {"wanted": demand, "acceleration": (builder.slopes[1], builder.control[1])}
+    builder.signals |= {"wanted": demand, "acceleration": Signal(builder.dynamics[1], builder.control[1])}
     return builder.channel(problem.channels["z"])
 
 
@@ -170,32 +208,42 @@ def yaw_channel(problem: VehicleProblem) -> LinearChannel:
     """
     builder = ChannelBuilder(3, lag=problem.rotor_lag > 0.0)
     _, rate, integral = builder.states[:3]
-    follow = (-rate, 1.0)  # U - psi'
-    demand = (-problem.yaw_gain * rate + problem.yaw_integral_gain * integral, problem.yaw_gain)  # eta_psi
-    builder.slopes[0] = rate
+    follow = Signal(-rate, 1.0)  # U - psi'
+    demand_row = -problem.yaw_gain * rate + problem.yaw_integral_gain * integral
+    demand = Signal(demand_row, problem.yaw_gain)  # eta_psi
+    builder.dynamics[0] = rate
     builder.drive(1, demand, problem.rotor_lag, "gamma")
-    builder.slopes[2], builder.control[2] = follow
+    builder.dynamics[2] = follow.row
+    builder.control[2] = follow.direct
     builder.remainders["torque"] = rate
     builder.signals |= {"wanted": demand, "follow": follow}
     return builder.channel(problem.channels["psi"])
 
 
-def flow(linear: LinearChannel, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """The exact solution of a channel without remainders after a time t [s]: chi(t) = exp(A_c t) chi(0) + gamma(t) U.
+class Flow(NamedTuple):
+    """The exact solution of a channel without remainders after a time t: chi(t) = exp(A_c t) chi(0) + gamma(t) U.
 
-    Returns:
-        exp(A_c t), shape (m, m), and gamma(t), what a held command 1 adds to chi, shape (m,).
+    Args:
+        phi: exp(A_c t), shape (m, m).
+        gamma: gamma(t), what a held command 1 adds to chi, shape (m,).
     """
-    m = linear.g.size
+
+    phi: np.ndarray
+    gamma: np.ndarray
+
+
+def flow(linear: LinearChannel, time: float) -> Flow:
+    """The exact solution of a channel without remainders after a time [s]."""
+    m = linear.control.size
     generator = np.zeros((m + 1, m + 1))
-    generator[:m, :m] = linear.f
-    generator[:m, m] = linear.g
+    generator[:m, :m] = linear.dynamics
+    generator[:m, m] = linear.control
     exponential = expm(generator * time)
-    return exponential[:m, :m], exponential[:m, m]
+    return Flow(exponential[:m, :m], exponential[:m, m])
 
 
 def sampled_channel(
-    problem: VehicleProblem, channel: ChannelProblem, linear: LinearChannel, slopes: tuple[float, ...]
+    problem: VehicleProblem, channel: ChannelProblem, linear: LinearChannel, lines: StraightLines
 ) -> SampledChannel:
     """A channel at its samples, with straight lines in place of the controller's functions.
 
@@ -206,12 +254,12 @@ def sampled_channel(
         problem: The vehicle.
         channel: The controller of the channel.
         linear: The channel between the samples.
-        slopes: Slopes k_1, k_2, k_3 of the lines, and the share s_q.
+        lines: The straight lines, and the share s_q.
     """
-    k_1, k_2, k_3, share = slopes
+    k_1, k_2, k_3, share = lines
     t = problem.sample_time
     weights = problem.delay_weights
-    m = linear.g.size
+    m = linear.control.size
     memory = len(weights) - 1  # D, the number of earlier commands in z
     n = m + memory + 1
     unit = np.eye(n)
@@ -240,9 +288,9 @@ def sampled_channel(
     by_omega_q = t * (by_omega_u + unit[n - 1])  # omega_q adds T_s omega_q to q, and q is subtracted from the command
     return SampledChannel(
         a=a,
+        by_command=by_omega_u + share * by_omega_q,
+        by_integral=by_omega_q,
         acting=acting,
-        direct=weights[0],
-        u=by_omega_u + share * by_omega_q,
-        q=by_omega_q,
-        u_av=q + k_1 * sigma,
+        fresh=weights[0],
+        equivalent=q + k_1 * sigma,
     )

@@ -7,12 +7,14 @@ omega_r, where the share s_q makes omega_r small.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from dssc_jax.proofs.problem import ProofProblem
 from dssc_jax.proofs.search.gains import GainPoints, gain_points
+from dssc_jax.proofs.search.vehicle.channels import StraightLines
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 
 DISTANCE_ROOM = 1.01
@@ -23,8 +25,22 @@ SHARED_ROOM = 1.03
 """Factor that widens the distance of omega_r besides, where the share is not 0, for the verifier's enclosure."""
 SMALLEST_REGION = 1e-9
 """Smallest bound of |sigma| for a region."""
-Slopes = tuple[float, float, float, float]
-"""Slopes k_1, k_2 and k_3 of the straight lines in place of a channel's functions, and the share s_q."""
+
+
+class DeviationBounds(NamedTuple):
+    """Bounds of |phi_1 - k_1 sigma|, |omega_r| and |omega_u|, or of the same over |sigma|."""
+
+    phi_1: float
+    omega_r: float
+    omega_u: float
+
+
+class LargestGains(NamedTuple):
+    """The largest gains of a channel's controller in a region: K_P, K_I [1/s], and 1 + tau_av/T_s."""
+
+    k_p: float
+    k_i: float
+    reach: float
 
 
 @dataclass(frozen=True)
@@ -35,28 +51,24 @@ class ChannelDeviations:
     and the command by omega_u. All that drives q is omega_q = omega_r + s_q omega_u.
 
     Args:
-        slopes: Slopes k_1, k_2, k_3 of the lines, and the share s_q of the command's deviation that drives q.
-        distance: D_1, D_2 and D_b: the largest |phi_1 - k_1 sigma|, |omega_r| and |omega_u|.
-        ratio: d_1, d_2 and d_b: the largest values of the same over |sigma|.
-        steepest: The largest K_P and K_I [1/s] in the region, and the largest 1 + tau_av/T_s.
+        lines: The straight lines, and the share s_q of the command's deviation that drives q.
+        distance: D_1, D_2 and D_b, the largest deviations.
+        ratio: d_1, d_2 and d_b, the largest deviations over |sigma|.
+        steepest: The largest gains in the region.
     """
 
-    slopes: Slopes
-    distance: tuple[float, float, float]
-    ratio: tuple[float, float, float]
-    steepest: tuple[float, float, float]
+    lines: StraightLines
+    distance: DeviationBounds
+    ratio: DeviationBounds
+    steepest: LargestGains
 
     def of_command(self, sigma: float) -> float:
         """Bound of |omega_u|, what the command deviates by, for |sigma| up to ``sigma``: min(D_b, d_b |sigma|)."""
-        _, _, distance_b = self.distance
-        _, _, ratio_b = self.ratio
-        return min(distance_b, ratio_b * sigma)
+        return min(self.distance.omega_u, self.ratio.omega_u * sigma)
 
     def of_integral(self, sigma: float) -> float:
         """Bound of |omega_r|, what the sum q deviates by, for |sigma| up to ``sigma``: min(D_2, d_2 |sigma|)."""
-        _, distance_2, _ = self.distance
-        _, ratio_2, _ = self.ratio
-        return min(distance_2, ratio_2 * sigma)
+        return min(self.distance.omega_r, self.ratio.omega_r * sigma)
 
     def of_start(self, start: str, start_sigma: float, sample_time: float) -> float:
         """Bound of how far q_(-1), the sum before the first sample, is from that of straight lines.
@@ -71,12 +83,9 @@ class ChannelDeviations:
         """
         if start == "zero":
             return 0.0
-        distance_1, _, _ = self.distance
-        ratio_1, _, _ = self.ratio
-        deviation = min(distance_1, ratio_1 * start_sigma)
+        deviation = min(self.distance.phi_1, self.ratio.phi_1 * start_sigma)
         if start == "midpoint":
-            *_, share = self.slopes
-            omega_q = self.of_integral(start_sigma) + abs(share) * self.of_command(start_sigma)
+            omega_q = self.of_integral(start_sigma) + abs(self.lines.share) * self.of_command(start_sigma)
             deviation += 0.5 * sample_time * omega_q
         return deviation
 
@@ -115,93 +124,106 @@ def points_of(problem: VehicleProblem, name: str, sigma: float) -> GainPoints:
     return gain_points(law_problem(problem, problem.channels[name]), max(sigma, SMALLEST_REGION), e=0.0)
 
 
-def best_slopes(points: GainPoints, *, joint: bool) -> Slopes:
-    """The slopes of the straight lines nearest to phi_1 + n and to phi_2, and the share s_q with the smallest omega_r.
+def best_lines(points: GainPoints, *, joint: bool) -> StraightLines:
+    """The straight lines nearest to phi_1 + n and to phi_2, and the share s_q with the smallest omega_r.
 
-    Only the sum k_1 + k_3 matters to omega_u. k_3 is the mean of n/sigma, and k_1 is the rest of the sum.
+    Only the sum k_1 + k_3 matters to omega_u. k_3 is the mean of n/sigma, and k_1 the sum less k_3.
 
     Args:
         points: The gains of the functions at points.
         joint: Whether omega_q takes a share of omega_u; else s_q = 0.
     """
-    size = np.abs(points.sigma)
+    sigma = np.abs(points.sigma)
     phi_2_ratios = points.columns["k_i"]  # phi_2/sigma
     n_ratios = points.columns["k_n"]  # n/sigma
     command_ratios = points.columns["mean"] + n_ratios  # (phi_1 + n)/sigma
-    command_slope = nearest_slope(size, command_ratios)  # k_1 + k_3
-    k_2 = nearest_slope(size, phi_2_ratios)
+    command_slope = nearest_slope(sigma, command_ratios)  # k_1 + k_3
+    k_2 = nearest_slope(sigma, phi_2_ratios)
     k_3 = float(np.mean(n_ratios))
-    share = nearest_share(size, phi_2_ratios - k_2, command_ratios - command_slope) if joint else 0.0
-    return command_slope - k_3, k_2, k_3, share
+    share = nearest_share(sigma, phi_2_ratios - k_2, command_ratios - command_slope) if joint else 0.0
+    return StraightLines(command_slope - k_3, k_2, k_3, share)
 
 
-def nearest_share(size: np.ndarray, integral: np.ndarray, command: np.ndarray) -> float:
-    """The share s_q with the smallest largest |omega_q - s_q omega_u|, which is convex in s_q.
+def nearest_share(sigma: np.ndarray, omega_q_ratios: np.ndarray, omega_u_ratios: np.ndarray) -> float:
+    """The share s_q for which the largest |omega_q - s_q omega_u| is smallest; that distance is convex in s_q.
 
     Args:
-        size: |sigma| at points, shape (points,).
-        integral: omega_q/sigma there, shape (points,).
-        command: omega_u/sigma there, shape (points,).
+        sigma: |sigma| at points, shape (points,).
+        omega_q_ratios: omega_q/sigma there, shape (points,).
+        omega_u_ratios: omega_u/sigma there, shape (points,).
     """
-    largest_command = distance_of(size, command, 0.0)
-    largest_integral = distance_of(size, integral, 0.0)
-    if largest_command == 0.0 or largest_integral == 0.0:
+    largest_omega_u = largest_distance(sigma, omega_u_ratios, 0.0)
+    largest_omega_q = largest_distance(sigma, omega_q_ratios, 0.0)
+    if largest_omega_u == 0.0 or largest_omega_q == 0.0:
         return 0.0
-    limit = 2.0 * largest_integral / largest_command  # beyond it the difference exceeds omega_q
-    return lowest(lambda share: distance_of(size, integral - share * command, 0.0), -limit, limit)
+    limit = 2.0 * largest_omega_q / largest_omega_u  # beyond it the difference exceeds omega_q
+
+    def distance_with(share: float) -> float:
+        """The largest |omega_q - share omega_u| at the points."""
+        return largest_distance(sigma, omega_q_ratios - share * omega_u_ratios, 0.0)
+
+    return minimiser(distance_with, -limit, limit)
 
 
-def nearest_slope(size: np.ndarray, ratios: np.ndarray) -> float:
-    """The slope k of the straight line with the least largest |f - k sigma| from a function f, which is convex in k.
+def nearest_slope(sigma: np.ndarray, ratios: np.ndarray) -> float:
+    """The slope k for which the largest |f - k sigma| is smallest, for a function f; that distance is convex in k.
 
     Args:
-        size: |sigma| at points, shape (points,).
+        sigma: |sigma| at points, shape (points,).
         ratios: f/sigma there, shape (points,).
     """
     low = float(ratios.min())
     high = float(ratios.max())
     if not low < high:
         return low
-    return lowest(lambda slope: distance_of(size, ratios, slope), low, high)
+    return minimiser(lambda slope: largest_distance(sigma, ratios, slope), low, high)
 
 
-def lowest(height: Callable[[float], float], low: float, high: float) -> float:
+def minimiser(function: Callable[[float], float], low: float, high: float) -> float:
     """The number between two ends at which a convex function is smallest, by Brent's method."""
-    minimum = minimize_scalar(height, bounds=(low, high), method="bounded")
+    minimum = minimize_scalar(function, bounds=(low, high), method="bounded")
     return float(minimum.x)
 
 
-def distance_of(size: np.ndarray, ratios: np.ndarray, slope: float) -> float:
-    """The largest |f - slope sigma| at points with |sigma| = ``size`` and f/sigma = ``ratios``, widened a little."""
-    return DISTANCE_ROOM * float(np.max(np.abs(ratios - slope) * size))
+def largest_distance(sigma: np.ndarray, ratios: np.ndarray, slope: float) -> float:
+    """The largest |f - slope sigma| at points with f/sigma = ``ratios``, widened a little; ``sigma`` has |sigma|."""
+    return DISTANCE_ROOM * float(np.max(np.abs(ratios - slope) * sigma))
 
 
-def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
-    """Bounds of how far a channel's functions are from straight lines with given slopes, over a region of |sigma|.
+def deviations_of(points: GainPoints, lines: StraightLines) -> ChannelDeviations:
+    """Bounds of how far a channel's functions are from straight lines, over a region of |sigma|.
 
     Args:
         points: The gains of the functions at points of the region.
-        slopes: Slopes k_1, k_2, k_3 of the lines, and the share s_q.
+        lines: The straight lines, and the share s_q.
     """
-    k_1, k_2, k_3, share = slopes
+    k_1, k_2, k_3, share = lines
     columns = points.columns
-    size = np.abs(points.sigma)
-    command = columns["mean"] + columns["k_n"]  # (phi_1 + n)/sigma
-    integral = columns["k_i"] - share * command  # (phi_2 - s_q (phi_1 + n))/sigma
-    integral_slope = k_2 - share * (k_1 + k_3)
-    distance_1 = distance_of(size, columns["mean"], k_1)
-    distance_2 = distance_of(size, integral, integral_slope) * (SHARED_ROOM if share else 1.0)
-    distance_b = distance_of(size, command, k_1 + k_3)
+    sigma = np.abs(points.sigma)
+    phi_1_ratios = columns["mean"]
+    command_ratios = phi_1_ratios + columns["k_n"]  # (phi_1 + n)/sigma
+    integral_ratios = columns["k_i"] - share * command_ratios  # (phi_2 - s_q (phi_1 + n))/sigma
+    command_slope = k_1 + k_3
+    integral_slope = k_2 - share * command_slope
+    integral_room = SHARED_ROOM if share else 1.0
     k_p = float(np.max(columns["k_p"]))
     return ChannelDeviations(
-        slopes=slopes,
-        distance=(distance_1, distance_2, distance_b),
-        ratio=(
-            largest_ratio(columns["mean"], k_1),
-            largest_ratio(integral, integral_slope),
-            largest_ratio(command, k_1 + k_3),
+        lines=lines,
+        distance=DeviationBounds(
+            phi_1=largest_distance(sigma, phi_1_ratios, k_1),
+            omega_r=largest_distance(sigma, integral_ratios, integral_slope) * integral_room,
+            omega_u=largest_distance(sigma, command_ratios, command_slope),
         ),
-        steepest=(k_p, float(np.max(columns["k_i"])), float(np.max(columns["slide_p"])) / k_p),
+        ratio=DeviationBounds(
+            phi_1=largest_ratio(phi_1_ratios, k_1),
+            omega_r=largest_ratio(integral_ratios, integral_slope),
+            omega_u=largest_ratio(command_ratios, command_slope),
+        ),
+        steepest=LargestGains(
+            k_p=k_p,
+            k_i=float(np.max(columns["k_i"])),
+            reach=float(np.max(columns["slide_p"])) / k_p,
+        ),
     )
 
 

@@ -5,10 +5,12 @@ docs/vehicle_proofs.md has the formulas, by the symbols that stand beside each l
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from dssc_jax.proofs.search.vehicle.attitude import Attitude, Signals
+from dssc_jax.proofs.search.vehicle.channels import Damping
 from dssc_jax.proofs.search.vehicle.rotors import Rotors
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
 
@@ -16,6 +18,18 @@ DRAG_POINTS = 65
 """Number of values of |v|, and of |r|, in the grid on which the largest drag is taken."""
 DRAG_ROOM = 1.004
 """Factor that widens the largest drag, for what lies between the points and for the verifier's enclosure."""
+
+
+class DragCoefficients(NamedTuple):
+    """Coefficients of the drag over mass.
+
+    Args:
+        quadratic: k, the coefficient of the structure's drag, which grows with the square of the air speed [1/m].
+        linear: Coefficient of the propellers' drag, which is proportional to the air speed [1/s].
+    """
+
+    quadratic: float
+    linear: float
 
 
 @dataclass(frozen=True)
@@ -36,7 +50,7 @@ class DragBounds:
 
 
 def drag_of(
-    problem: VehicleProblem, bounds: Signals, attitude: Attitude, rotors: Rotors, damping: tuple[float, float]
+    problem: VehicleProblem, bounds: Signals, attitude: Attitude, rotors: Rotors, damping: Damping
 ) -> DragBounds:
     """Bounds of the drag of structure and propellers, less the channels' damping, and of the torques on the body.
 
@@ -47,23 +61,26 @@ def drag_of(
         bounds: Bounds of the signals.
         attitude: Bounds of the attitude.
         rotors: Bounds of the rotors.
-        damping: Damping of drag in the linear channels of the plane and of z [1/s].
+        damping: Damping of drag in the linear channels.
     """
-    plane_damping, vertical_damping = damping
     wind_h, wind_z = problem.wind  # W and W_z
-    speed_h, speed_z = bounds["x"]["speed"], bounds["z"]["e_dot"]
-    air_speed_h, air_speed_z = speed_h + wind_h, speed_z + wind_z  # V_h and V_z
+    speed_h = bounds["x"]["speed"]
+    speed_z = bounds["z"]["e_dot"]
+    air_speed_h = speed_h + wind_h  # V_h
+    air_speed_z = speed_z + wind_z  # V_z
     air_speed = math.hypot(air_speed_h, air_speed_z)  # V_r
     lightest = problem.mass[0]  # M_-
-    k_h, k_z = (k / lightest for k in problem.structure_drag)
+    drag_h, drag_z = problem.structure_drag
+    k_h = drag_h / lightest
+    k_z = drag_z / lightest
     k_p = problem.propeller_drag
     linear = k_p * rotors.sum / lightest  # k_p o_S/M_-
     s = attitude.tilt
     tilt_drag = abs(k_h - k_z) * air_speed
     half_spread = 0.5 * problem.rotors * rotors.spread  # n w_o/2
     rotation_drag = k_p * problem.arm * half_spread * attitude.rate / lightest
-    plane = drag_in_plane(speed_h, wind_h, (k_h, linear), air_speed_z, plane_damping)  # D_h
-    vertical = drag_along(speed_z, wind_z, (k_z, linear), air_speed_h, vertical_damping)  # D_z
+    plane = drag_in_plane(speed_h, wind_h, DragCoefficients(k_h, linear), air_speed_z, damping.plane)  # D_h
+    vertical = drag_along(speed_z, wind_z, DragCoefficients(k_z, linear), air_speed_h, damping.vertical)  # D_z
     torque = k_p * problem.arm * (half_spread * air_speed + problem.arm * rotors.sum * attitude.rate)
     (j_x, _), (j_y, _), (j_z, _) = problem.inertia  # the lower ends
     return DragBounds(
@@ -74,7 +91,7 @@ def drag_of(
     )
 
 
-def drag_in_plane(speed_bound: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
+def drag_in_plane(speed_bound: float, wind: float, drag: DragCoefficients, across: float, c: float) -> float:
     """D_h, the largest |c v - x r| [m/s^2] over vectors of the plane: what damping c leaves of the drag x r.
 
     v is the vehicle's velocity with |v| <= ``speed_bound``, and r = v - w its velocity against a wind |w| <= ``wind``.
@@ -83,7 +100,7 @@ def drag_in_plane(speed_bound: float, wind: float, drag: tuple[float, float], ac
     Args:
         speed_bound: Bound of |v| [m/s].
         wind: Bound of |w| [m/s].
-        drag: k, the coefficient of quadratic drag over mass [1/m], and that of linear drag over mass [1/s].
+        drag: Coefficients of the drag over mass.
         across: Bound of the air's relative speed perpendicular to the plane [m/s].
         c: Damping [1/s].
     """
@@ -97,7 +114,7 @@ def drag_in_plane(speed_bound: float, wind: float, drag: tuple[float, float], ac
     return largest_drag(speed, air_speed, product, drag, across, c)
 
 
-def drag_along(speed_bound: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
+def drag_along(speed_bound: float, wind: float, drag: DragCoefficients, across: float, c: float) -> float:
     """D_z, the largest |c v - x r| [m/s^2] over numbers; see :func:`drag_in_plane` for the symbols and arguments."""
     v = np.linspace(-speed_bound, speed_bound, 4 * DRAG_POINTS)
     r = v - wind  # by symmetry the wind has one sign
@@ -105,7 +122,7 @@ def drag_along(speed_bound: float, wind: float, drag: tuple[float, float], acros
 
 
 def largest_drag(
-    speed: np.ndarray, air_speed: np.ndarray, product: np.ndarray, drag: tuple[float, float], across: float, c: float
+    speed: np.ndarray, air_speed: np.ndarray, product: np.ndarray, drag: DragCoefficients, across: float, c: float
 ) -> float:
     """The largest |c v - x r| at some points, for both ends of x, widened a little [m/s^2].
 
@@ -113,13 +130,12 @@ def largest_drag(
         speed: |v| at the points [m/s].
         air_speed: |r| at the points [m/s].
         product: v'r at the points [m^2/s^2].
-        drag: k, the coefficient of quadratic drag over mass [1/m], and that of linear drag over mass [1/s].
+        drag: Coefficients of the drag over mass.
         across: Bound of the air's relative speed across v and r [m/s].
         c: Damping [1/s].
     """
-    quadratic, linear = drag
-    least_x = quadratic * air_speed
-    largest_x = quadratic * np.sqrt(air_speed**2 + across**2) + linear
+    least_x = drag.quadratic * air_speed
+    largest_x = drag.quadratic * np.sqrt(air_speed**2 + across**2) + drag.linear
     largest_square = 0.0
     for x in (least_x, largest_x):
         square = (x * air_speed) ** 2 + (c * speed) ** 2 - 2.0 * c * x * product  # |c v - x r|^2

@@ -12,18 +12,23 @@ import numpy as np
 from scipy.linalg import expm
 
 from dssc_jax.proofs.search.vehicle.attitude import Signals
-from dssc_jax.proofs.search.vehicle.channels import GRAVITY, LinearChannel, sampled_channel
+from dssc_jax.proofs.search.vehicle.channels import (
+    GRAVITY,
+    LinearChannel,
+    StraightLines,
+    sampled_channel,
+)
 from dssc_jax.proofs.search.vehicle.remainders import Couplings
 from dssc_jax.proofs.search.vehicle.responses import ONE_AXIS, POINTS, start_share
 from dssc_jax.proofs.search.vehicle.waves import (
     Waves,
+    angular_frequency,
     derivative,
+    largest_magnitude,
     multiple,
     product,
-    rate_of,
     reference_waves,
-    size,
-    total,
+    wave_sum,
 )
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
@@ -116,14 +121,14 @@ class SteadyResponse:
 
 
 def nominal_of(
-    problem: VehicleProblem, linear: dict[str, LinearChannel], slopes: dict[str, tuple[float, ...]], damping: float
+    problem: VehicleProblem, linear: dict[str, LinearChannel], lines: dict[str, StraightLines], damping: float
 ) -> Nominal | None:
     """Bounds of the nominal flight, the sum of the steady responses to all frequencies; None if the vehicle hovers.
 
     Args:
         problem: The vehicle.
         linear: The linear channels.
-        slopes: For each channel, the slopes of the straight lines and the share s_q.
+        lines: The straight lines of each channel.
         damping: c, damping of drag in the plane [1/s].
     """
     if problem.reference is None:
@@ -138,15 +143,15 @@ def nominal_of(
             inputs = axis_inputs[axis]
             responses = {}
             for frequency in inputs.frequencies:
-                responses[frequency] = steady_response(problem, name, linear[name], slopes[name], inputs, frequency)
+                responses[frequency] = steady_response(problem, name, linear[name], lines[name], inputs, frequency)
             axis_responses.append(responses)
             flight_start = np.sum([np.real(response.state) for response in responses.values()], axis=0)  # z_n(0)
-            vehicle_start = first_state(problem, name, slopes[name], inputs, flight_start.size)
+            vehicle_start = first_state(problem, name, lines[name], inputs, flight_start.size)
             start_columns.append(vehicle_start - flight_start)
         bounds[name] = bounds_of(problem, axis_responses)
         starts[name] = np.stack(start_columns, axis=-1)
-    lift = size(derivative(derivative(axis_inputs["z"].reference)))  # of z_m''
-    yaw = size(derivative(axis_inputs["psi"].reference))  # of psi_m'
+    lift = largest_magnitude(derivative(derivative(axis_inputs["z"].reference)))  # of z_m''
+    yaw = largest_magnitude(derivative(axis_inputs["psi"].reference))  # of psi_m'
     return Nominal(bounds=bounds, lift=ROOM * lift, yaw=ROOM * yaw, starts=starts)
 
 
@@ -163,7 +168,7 @@ def axis_inputs_of(problem: VehicleProblem, damping: float) -> dict[str, AxisInp
     references = reference_waves(problem)
     speeds = {axis: derivative(waves) for axis, waves in references.items()}
     accelerations = {axis: derivative(waves) for axis, waves in speeds.items()}
-    alpha_0 = {axis: total(accelerations[axis], multiple(speeds[axis], damping)) for axis in ("x", "y")}
+    alpha_0 = {axis: wave_sum(accelerations[axis], multiple(speeds[axis], damping)) for axis in ("x", "y")}
     quarter_turn = {"x": multiple(alpha_0["y"], -1.0), "y": alpha_0["x"]}
     axes = {
         "psi": AxisInputs(references["psi"], known_remainders={}, comparisons={"yaw_gap": ("rate", speeds["psi"])}),
@@ -172,7 +177,7 @@ def axis_inputs_of(problem: VehicleProblem, damping: float) -> dict[str, AxisInp
     for axis in ("x", "y"):
         force = product(accelerations["z"], alpha_0[axis], 1.0 / GRAVITY)
         yaw_torque = product(speeds["psi"], quarter_turn[axis], problem.damping)
-        torque = total(yaw_torque, multiple(force, -problem.stiffness))
+        torque = wave_sum(yaw_torque, multiple(force, -problem.stiffness))
         axes[axis] = AxisInputs(
             reference=references[axis],
             known_remainders={"force": force, "torque": torque},
@@ -198,7 +203,7 @@ class InputPhasors:
 
 def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
     """The phasors at one frequency [Hz] of the known motion along an axis; 0 where it has no such frequency."""
-    i_omega = 1j * rate_of(frequency)
+    i_omega = 1j * angular_frequency(frequency)
     speed = i_omega * inputs.reference.get(frequency, 0.0)
     known_remainders = {key: waves.get(frequency, 0.0) for key, waves in inputs.known_remainders.items()}
     return InputPhasors(speed, i_omega * speed, known_remainders)
@@ -214,11 +219,11 @@ def driven_generator(linear: LinearChannel, phasors: InputPhasors, rate: float) 
         phasors: Phasors of what drives the axis.
         rate: Angular frequency [rad/s].
     """
-    m = linear.g.size
-    known_forces = sum(phasor * linear.b[key] for key, phasor in phasors.known_remainders.items())
+    m = linear.control.size
+    known_forces = sum(phasor * linear.remainders[key] for key, phasor in phasors.known_remainders.items())
     generator = np.zeros((m + 2, m + 2), complex)
-    generator[:m, :m] = linear.f
-    generator[:m, m] = linear.g
+    generator[:m, :m] = linear.dynamics
+    generator[:m, m] = linear.control
     generator[:m, m + 1] = -phasors.speed * np.eye(m)[0] + known_forces
     generator[m + 1, m + 1] = 1j * rate
     return generator
@@ -239,7 +244,7 @@ def signal_rows(
         frequency: The frequency [Hz].
     """
     rows = {key: np.array([*c, d, 0.0], complex) for key, (c, d) in linear.signals.items()}
-    rows["rate"] = np.array([*linear.signals["e_dot"][0], 0.0, 0.0], complex)
+    rows["rate"] = np.array([*linear.signals["e_dot"].row, 0.0, 0.0], complex)
     rows["e_dot"][-1] = -phasors.speed
     rows["sigma"][-1] = -phasors.speed
     # sigma' = v' - y_m'' + l_0 (v - y_m'), where v' contains the known force
@@ -254,7 +259,7 @@ def steady_response(
     problem: VehicleProblem,
     name: str,
     linear: LinearChannel,
-    slopes: tuple[float, ...],
+    lines: StraightLines,
     inputs: AxisInputs,
     frequency: Fraction,
 ) -> SteadyResponse:
@@ -266,16 +271,16 @@ def steady_response(
         problem: The vehicle.
         name: Name of the channel.
         linear: Its linear channel.
-        slopes: Slopes of the straight lines in place of its functions, and the share s_q.
+        lines: The straight lines in place of its functions, and the share s_q.
         inputs: The known motion along the axis.
         frequency: f [Hz].
     """
     channel = problem.channels[name]
-    step = sampled_channel(problem, channel, linear, slopes)
-    k_1, k_2, k_3, _ = slopes
+    step = sampled_channel(problem, channel, linear, lines)
+    k_1, k_2, k_3, _ = lines
     t = problem.sample_time
-    rate = rate_of(frequency)
-    m = linear.g.size
+    rate = angular_frequency(frequency)
+    m = linear.control.size
     n = step.a.shape[0]
     drive = input_phasors(inputs, frequency)
     # -y_m' in sigma adds to the sum q and to the command; the nominal control has its feed-forward besides
@@ -286,26 +291,24 @@ def steady_response(
     generator = driven_generator(linear, drive, rate)
     exponential = expm(generator * t)
     sample_input = np.zeros(n, complex)  # D_f
-    sample_input[:m] = exponential[:m, m] * step.direct * command_input + exponential[:m, m + 1]
+    sample_input[:m] = exponential[:m, m] * step.fresh * command_input + exponential[:m, m + 1]
     has_memory = n > m + 1  # of the last commands, for a delay
     if has_memory:
         sample_input[m] = command_input
     sample_input[n - 1] = integral_input
     state = np.linalg.solve(np.exp(1j * rate * t) * np.eye(n) - step.a, sample_input)  # Z_f
-    acting_command = step.acting @ state + step.direct * command_input
+    acting_command = step.acting @ state + step.fresh * command_input
     begin = np.concatenate([state[:m], [acting_command, 1.0]])  # (chi, U, wave) at the sample
     rows = signal_rows(linear, inputs, drive, channel.l0, frequency)
     table = np.stack(list(rows.values()))
     values = np.stack([table @ expm(generator * share * t) @ begin for share in POINTS], axis=-1)
     slope = np.stack([table @ expm(generator * share * t) @ generator @ begin for share in SLOPE_TIMES], axis=-1)
     signals = dict(zip(rows, values, strict=True))
-    signals["u_av"] = np.full(len(POINTS), step.u_av @ state + integral_input - k_1 * drive.speed)
+    signals["u_av"] = np.full(len(POINTS), step.equivalent @ state + integral_input - k_1 * drive.speed)
     return SteadyResponse(state, signals, slopes=dict(zip(rows, slope, strict=True)))
 
 
-def first_state(
-    problem: VehicleProblem, name: str, slopes: tuple[float, ...], inputs: AxisInputs, n: int
-) -> np.ndarray:
+def first_state(problem: VehicleProblem, name: str, lines: StraightLines, inputs: AxisInputs, n: int) -> np.ndarray:
     """The known part of the vehicle's z_0 on an axis, shape (n,).
 
     The vehicle starts with the reference's velocity, but without a turn: there sigma_0 = -psi_m' sets the sum q_(-1).
@@ -313,14 +316,14 @@ def first_state(
     Args:
         problem: The vehicle.
         name: Name of the channel.
-        slopes: Slopes of the straight lines, and the share s_q.
+        lines: The straight lines in place of its functions.
         inputs: The known motion along the axis.
         n: Length of z.
     """
     reference_speed = sum(phasor.real for phasor in derivative(inputs.reference).values())  # at t = 0
     z_0 = np.zeros(n)
     if name == "psi":
-        z_0[-1] = start_share(problem, problem.channels[name], slopes) * reference_speed
+        z_0[-1] = start_share(problem, problem.channels[name], lines) * reference_speed
     else:
         z_0[1] = reference_speed
     return z_0

@@ -4,11 +4,12 @@ The formulas are those of docs/vehicle_proofs.md, in their order; their symbols 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from dssc_jax.proofs.search.vehicle.attitude import Attitude, Signals, attitude_of
-from dssc_jax.proofs.search.vehicle.channels import GRAVITY
+from dssc_jax.proofs.search.vehicle.channels import GRAVITY, Damping
 from dssc_jax.proofs.search.vehicle.drag import DragBounds, drag_of
-from dssc_jax.proofs.search.vehicle.rotors import Moments, Rotors, inertia_ratios, moments_of, rotors_of
+from dssc_jax.proofs.search.vehicle.rotors import Moments, Rotors, gyroscopic_factors, moments_of, rotors_of
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
 
 
@@ -35,19 +36,38 @@ class Couplings:
     yaw: float
 
 
+class Remainders(NamedTuple):
+    """Bounds of the remainders, and of the rotors on the way to them.
+
+    Args:
+        channels: Bounds of the remainders ``force``, ``torque`` and ``lag``, by channel and name.
+        rotors: Bounds of the rotors.
+    """
+
+    channels: Signals
+    rotors: Rotors
+
+
+class Torques(NamedTuple):
+    """Bounds of x.torque [m/s^2] and of psi.torque [rad/s^2]."""
+
+    plane: float
+    yaw: float
+
+
 def remainders_of(
     problem: VehicleProblem,
     bounds: Signals,
-    damping: tuple[float, float],
+    damping: Damping,
     earlier: Rotors | None = None,
     couplings: Couplings | None = None,
-) -> tuple[Signals, Rotors]:
-    """Bounds of the remainders, by channel and name, and of the rotors, while the signals are within their bounds.
+) -> Remainders:
+    """Bounds of the remainders and of the rotors, while the signals are within their bounds.
 
     Args:
         problem: The vehicle.
         bounds: Bounds of the vehicle's signals, in a cell of time.
-        damping: Damping of drag in the plane and along z [1/s].
+        damping: Damping of drag.
         earlier: Bounds of the rotors in the cells before; None in the first one.
         couplings: Bounds of the couplings; None: the vehicle hovers.
 
@@ -59,18 +79,18 @@ def remainders_of(
     rotors = rotors_of(problem, bounds, attitude, moments, earlier)
     drag = drag_of(problem, bounds, attitude, rotors, damping)
     if problem.rotor_lag:
-        torque_x, torque_psi = torques_with_lag(problem, bounds, attitude, drag)
+        torques = torques_with_lag(problem, bounds, attitude, drag)
     else:
-        torque_x, torque_psi = torques_without_lag(problem, bounds, attitude, drag, couplings)
+        torques = torques_without_lag(problem, bounds, attitude, drag, couplings)
     remainders = {
-        "x": {"force": plane_force(problem, attitude, drag, couplings), "torque": torque_x},
+        "x": {"force": plane_force(problem, attitude, drag, couplings), "torque": torques.plane},
         "z": {"force": problem.thrust_deviation * attitude.achieved_lift + drag.vertical},
-        "psi": {"torque": torque_psi},
+        "psi": {"torque": torques.yaw},
     }
     if problem.rotor_lag:
         for name, lag_remainder in lag_remainders(problem, bounds, attitude, moments, rotors).items():
             remainders[name]["lag"] = lag_remainder
-    return remainders, rotors
+    return Remainders(remainders, rotors)
 
 
 def plane_force(problem: VehicleProblem, attitude: Attitude, drag: DragBounds, couplings: Couplings | None) -> float:
@@ -132,7 +152,8 @@ def coupled_torque(problem: VehicleProblem, bounds: Signals, attitude: Attitude,
 
     The first term is there because the desired tilt b_d is not linear, the second because the plane turns.
     """
-    a_0, a_1 = problem.stiffness, problem.damping
+    a_0 = problem.stiffness
+    a_1 = problem.damping
     if couplings is None:
         return a_0 * GRAVITY * attitude.tilt_defect + GRAVITY * a_1 * attitude.yaw_rate * attitude.tilt
     demand = bounds["x"]["wanted"]  # A_h
@@ -145,15 +166,18 @@ def coupled_torque(problem: VehicleProblem, bounds: Signals, attitude: Attitude,
 
 def torques_without_lag(
     problem: VehicleProblem, bounds: Signals, attitude: Attitude, drag: DragBounds, couplings: Couplings | None
-) -> tuple[float, float]:
-    """x.torque [m/s^2] and psi.torque [rad/s^2] without a rotor lag.
+) -> Torques:
+    """The torques without a rotor lag.
 
     m_h and m_z bound how far the body's angular acceleration is from the wanted one, across and along body z [rad/s^2].
     """
     delta = problem.turn_deviation  # the largest |nu_i - 1|
-    s, t = attitude.tilt, attitude.tangent
-    tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
-    rate_h, rate_z = attitude.rate_h, attitude.rate_z
+    s = attitude.tilt
+    t = attitude.tangent
+    tilt_demand = attitude.tilt_demand
+    yaw_demand = attitude.yaw_demand
+    rate_h = attitude.rate_h
+    rate_z = attitude.rate_z
     (x_low, x_high), (y_low, y_high), (z_low, z_high) = problem.inertia
     l_h = max((z_high + y_high) / x_low, (z_high + x_high) / y_low)
     l_z = (x_high + y_high) / z_low
@@ -162,25 +186,25 @@ def torques_without_lag(
     yaw = t * m_h + attitude.secant * m_z  # psi.torque
     turn = turn_of_plane(attitude, yaw_acceleration=yaw_demand + yaw)  # psi_2 = H_psi + psi.torque
     plane = GRAVITY * (turn + (1.0 + s * t) * m_h + t * m_z)
-    return plane + coupled_torque(problem, bounds, attitude, couplings), yaw
+    return Torques(plane + coupled_torque(problem, bounds, attitude, couplings), yaw)
 
 
-def torques_with_lag(
-    problem: VehicleProblem, bounds: Signals, attitude: Attitude, drag: DragBounds
-) -> tuple[float, float]:
-    """x.torque [m/s^2] and psi.torque [rad/s^2] with a rotor lag.
+def torques_with_lag(problem: VehicleProblem, bounds: Signals, attitude: Attitude, drag: DragBounds) -> Torques:
+    """The torques with a rotor lag.
 
     mu_h and mu_z bound mu, the angular acceleration that the rotors achieve as the inner loops believe. m_h and m_z
     bound how far the body's true one is from it. Each is across and along body z [rad/s^2].
     """
     delta = problem.turn_deviation  # the largest |nu_i - 1|
-    s, t = attitude.tilt, attitude.tangent
-    rate_h, rate_z = attitude.rate_h, attitude.rate_z
-    i_h, i_z = inertia_ratios(problem.inertia)
+    s = attitude.tilt
+    t = attitude.tangent
+    rate_h = attitude.rate_h
+    rate_z = attitude.rate_z
+    coupling = gyroscopic_factors(problem.inertia)
     mu_h = bounds["x"]["gamma"] / GRAVITY
     mu_z = bounds["psi"]["gamma"]
-    m_h = delta * mu_h + drag.torque_h + i_h * rate_h * rate_z + attitude.frame_h
-    m_z = delta * mu_z + drag.torque_z + i_z * rate_h**2 / 2.0 + attitude.frame_z
+    m_h = delta * mu_h + drag.torque_h + coupling.across * rate_h * rate_z + attitude.frame_h
+    m_z = delta * mu_z + drag.torque_z + coupling.along * rate_h**2 / 2.0 + attitude.frame_z
     yaw = t * mu_h + (attitude.secant - 1.0) * mu_z + t * m_h + attitude.secant * m_z  # psi.torque
     turn = turn_of_plane(attitude, yaw_acceleration=mu_z + yaw) + s * t * mu_h + t * mu_z
-    return GRAVITY * (turn + (1.0 + s * t) * m_h + t * m_z), yaw
+    return Torques(GRAVITY * (turn + (1.0 + s * t) * m_h + t * m_z), yaw)

@@ -5,12 +5,18 @@ the remainders, which may be any function of time: their effect in one sample is
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dssc_jax.proofs.search.impulse_responses import responses, spectral_radius
-from dssc_jax.proofs.search.vehicle.channels import LinearChannel, SampledChannel, flow, sampled_channel
+from dssc_jax.proofs.search.vehicle.channels import (
+    LinearChannel,
+    SampledChannel,
+    StraightLines,
+    flow,
+    sampled_channel,
+)
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 
 POINTS = (0.125, 0.375, 0.625, 0.875)
@@ -85,7 +91,7 @@ def pieces_of(problem: VehicleProblem) -> int:
 
 
 def observe_channel(
-    problem: VehicleProblem, channel: ChannelProblem, linear: LinearChannel, slopes: tuple[float, ...]
+    problem: VehicleProblem, channel: ChannelProblem, linear: LinearChannel, lines: StraightLines
 ) -> ChannelObservation:
     """A channel at its samples, and its signals at the points of a sample.
 
@@ -93,41 +99,38 @@ def observe_channel(
         problem: The vehicle.
         channel: The controller of the channel.
         linear: The channel between the samples.
-        slopes: Slopes k_1, k_2, k_3 of the straight lines in place of its functions, and the share s_q.
+        lines: The straight lines in place of its functions, and the share s_q.
     """
-    step = sampled_channel(problem, channel, linear, slopes)
+    step = sampled_channel(problem, channel, linear, lines)
     t = problem.sample_time
-    *_, share = slopes
     pieces = pieces_of(problem)
-    m = linear.g.size
+    m = linear.control.size
     n = step.a.shape[0]
     names = (*linear.signals, "u_av")
     rows = np.zeros((len(POINTS), len(names), n))
-    direct = np.zeros((len(POINTS), len(names), 2 + len(linear.b)))
+    direct = np.zeros((len(POINTS), len(names), 2 + len(linear.remainders)))
     force_within = np.zeros((len(POINTS), len(names)))
-    remainder_columns = np.stack(list(linear.b.values()), axis=1)
-    force = linear.b.get("force", np.zeros(m))
+    force = linear.remainders.get("force", np.zeros(m))
     for place, point in enumerate(POINTS):
         time = point * t
         phi, gamma = flow(linear, time)
-        fractions = np.linspace(0.0, 1.0, pieces + 1)  # of the time since the sample, at which a remainder acted
-        acting = [flow(linear, time * fraction)[0] @ remainder_columns for fraction in fractions]
+        columns_within = remainder_effects(linear, time * np.linspace(0.0, 1.0, pieces + 1))
         force_effect = forced_response(linear, force, time)
         for i, (c, d) in enumerate(linear.signals.values()):
             by_command = c @ gamma + d
             rows[place, i, :m] = c @ phi
             rows[place, i] += by_command * step.acting
             # omega_u adds to the command, and T_s omega_q through the sum q
-            direct[place, i, :2] = abs(by_command * step.direct) * np.array([abs(1.0 + t * share), t])
-            direct[place, i, 2:] = time * trapezoid([np.abs(c @ columns) for columns in acting])
+            direct[place, i, :2] = abs(by_command * step.fresh) * np.array([abs(1.0 + t * lines.share), t])
+            direct[place, i, 2:] = time * trapezoid([np.abs(c @ columns) for columns in columns_within])
             force_within[place, i] = c @ force_effect
-        rows[place, -1] = step.u_av
-        direct[place, -1, :2] = [abs(t * share), t]
-    columns = np.zeros((n, 2 + (pieces + 1) * remainder_columns.shape[1]))
-    columns[:, 0] = step.u
-    columns[:, 1] = step.q
-    acting_before = [flow(linear, t * piece / pieces)[0] @ remainder_columns for piece in range(pieces + 1)]
-    columns[:m, 2:] = np.concatenate(acting_before, axis=1)
+        rows[place, -1] = step.equivalent
+        direct[place, -1, :2] = [abs(t * lines.share), t]
+    columns = np.zeros((n, 2 + (pieces + 1) * len(linear.remainders)))
+    columns[:, 0] = step.by_command
+    columns[:, 1] = step.by_integral
+    columns_before = remainder_effects(linear, t * np.arange(pieces + 1) / pieces)
+    columns[:m, 2:] = np.concatenate(columns_before, axis=1)
     return ChannelObservation(
         step=step,
         names=names,
@@ -138,6 +141,12 @@ def observe_channel(
         force_column=np.append(forced_response(linear, force, t), np.zeros(n - m)),
         force_within=force_within.ravel(),
     )
+
+
+def remainder_effects(linear: LinearChannel, times: np.ndarray) -> list[np.ndarray]:
+    """What an impulse 1 of each remainder makes of chi after each of some times [s], shape (m, remainders) each."""
+    columns = np.stack(list(linear.remainders.values()), axis=1)
+    return [flow(linear, time).phi @ columns for time in times]
 
 
 def integrated_effects(effects: np.ndarray, pieces: int, sample_time: float) -> np.ndarray:
@@ -159,7 +168,7 @@ def channel_response(
     problem: VehicleProblem,
     channel: ChannelProblem,
     linear: LinearChannel,
-    slopes: tuple[float, ...],
+    lines: StraightLines,
     start_offsets: np.ndarray | None,
 ) -> ChannelResponse | None:
     """The largest responses of a channel's signals; None if it is not stable or they last too long.
@@ -168,11 +177,12 @@ def channel_response(
         problem: The vehicle.
         channel: The controller of the channel.
         linear: The channel between the samples.
-        slopes: Slopes of the straight lines in place of its functions, and the share s_q.
+        lines: The straight lines in place of its functions, and the share s_q.
         start_offsets: Known part of z_0 less the nominal flight's, shape (n, axes); None: there is none.
     """
-    observation = observe_channel(problem, channel, linear, slopes)
-    a, rows = observation.step.a, observation.rows
+    observation = observe_channel(problem, channel, linear, lines)
+    a = observation.step.a
+    rows = observation.rows
     if spectral_radius(a) >= 1.0:
         return None
     no_starts = np.zeros((a.shape[0], 0))
@@ -189,7 +199,7 @@ def channel_response(
         force_peaks = largest_values(a, rows, -equilibrium, rows @ equilibrium + observation.force_within)
     start_peaks = np.zeros((rows.shape[0], 3))
     if any(channel.initial):
-        starts = start_columns(problem, channel, a.shape[0], slopes)
+        starts = start_columns(problem, channel, a.shape[0], lines)
         start_peaks = np.stack([largest_values(a, rows, start, np.zeros(rows.shape[0])) for start in starts], axis=-1)
     offset_peaks = np.zeros(shape)
     if start_offsets is not None:
@@ -197,7 +207,7 @@ def channel_response(
         offset_peaks = size_over_axes(np.stack(columns, axis=-1).reshape(*shape, -1), observation.names)
     return ChannelResponse(
         names=observation.names,
-        remainders=tuple(linear.b),
+        remainders=tuple(linear.remainders),
         gains=gains,
         constant=force_peaks.reshape(shape),
         starts=start_peaks.reshape(*shape, 3),
@@ -219,7 +229,7 @@ def size_over_axes(sizes: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
     return np.where(is_along_axes, sizes.max(axis=-1), np.sqrt((sizes**2).sum(axis=-1)))
 
 
-def axes_of(name: str, response: ChannelResponse) -> np.ndarray:
+def axis_factors(name: str, response: ChannelResponse) -> np.ndarray:
     """h, the factor of the omegas' bounds for each signal, shape (signals,).
 
     The omegas of x and y together are at most 2^(1/2) as long as those of one axis, which matters to norms only.
@@ -255,7 +265,7 @@ def channel_series(
     problem: VehicleProblem,
     channel: ChannelProblem,
     linear: LinearChannel,
-    slopes: tuple[float, ...],
+    lines: StraightLines,
     length: int,
     start_offsets: np.ndarray | None,
 ) -> ChannelSeries:
@@ -265,16 +275,16 @@ def channel_series(
         problem: The vehicle.
         channel: The controller of the channel.
         linear: The channel between the samples.
-        slopes: Slopes of the straight lines in place of its functions, and the share s_q.
+        lines: The straight lines in place of its functions, and the share s_q.
         length: Number of samples.
         start_offsets: Known part of z_0 less the nominal flight's, shape (n, axes); None: there is none.
     """
-    observation = observe_channel(problem, channel, linear, slopes)
+    observation = observe_channel(problem, channel, linear, lines)
     a = observation.step.a
     n = a.shape[0]
     rows = observation.rows.shape[0]
     equilibrium = np.linalg.solve(np.eye(n) - a, observation.force_column)
-    starts = start_columns(problem, channel, n, slopes)
+    starts = start_columns(problem, channel, n, lines)
     z_offsets = np.zeros((n, 1)) if start_offsets is None else start_offsets
     columns = np.column_stack([observation.columns, -equilibrium, *starts, z_offsets])
     responses_by_sample = np.zeros((length, rows, columns.shape[1]))
@@ -284,7 +294,7 @@ def channel_series(
     inputs = observation.columns.shape[1]
     ends = [inputs, inputs + 1, inputs + 1 + len(starts)]  # of the inputs, of the constant and of the starts
     of_inputs, of_constant, of_starts, of_offsets = np.split(responses_by_sample, ends, axis=-1)
-    effects = np.zeros((length, rows, 2 + len(linear.b)))
+    effects = np.zeros((length, rows, 2 + len(linear.remainders)))
     effects[0] = observation.direct.reshape(rows, -1)
     effects[1:] = integrated_effects(np.abs(of_inputs[:-1]), observation.pieces, problem.sample_time)
     constant = np.zeros((length, rows))
@@ -302,31 +312,34 @@ def trapezoid(values: list[np.ndarray]) -> np.ndarray:
 
 def forced_response(linear: LinearChannel, column: np.ndarray, time: float) -> np.ndarray:
     """What a constant input 1 through a column adds to chi within a time [s], shape (m,)."""
-    driven = LinearChannel(linear.f, column, linear.b, linear.signals)  # the column in place of the command's
+    driven = replace(linear, control=column)  # the column in place of the command's
     _, change = flow(driven, time)
     return change
 
 
-def start_columns(
-    problem: VehicleProblem, channel: ChannelProblem, n: int, slopes: tuple[float, ...]
-) -> list[np.ndarray]:
+def start_columns(problem: VehicleProblem, channel: ChannelProblem, n: int, lines: StraightLines) -> list[np.ndarray]:
     """z_0 for a start with e = 1, for one with e' = 1 and for one with q_(-1) = 1, shape (n,) each.
 
     With straight lines q_(-1) is a share of sigma_0 = e' + l_0 e, so that the first two have a q_(-1), too.
     """
-    share = start_share(problem, channel, slopes)
+    share = start_share(problem, channel, lines)
     e, e_dot, *_, q = np.eye(n)
     return [e - share * channel.l0 * q, e_dot - share * q, q]
 
 
-def start_share(problem: VehicleProblem, channel: ChannelProblem, slopes: tuple[float, ...]) -> float:
+def start_share(problem: VehicleProblem, channel: ChannelProblem, lines: StraightLines) -> float:
     """-q_(-1)/sigma_0, the share of sigma_0 in the sum before the first sample, with straight lines for functions.
 
     q_(-1) is 0 for the start ``zero``, -phi_1(sigma_0) for ``matched``, and (T_s/2) phi_2(sigma_0) less for
     ``midpoint``.
     """
-    k_1, k_2 = slopes[:2]
-    return {"zero": 0.0, "matched": k_1, "midpoint": k_1 + 0.5 * problem.sample_time * k_2}[channel.start]
+    match channel.start:
+        case "zero":
+            return 0.0
+        case "matched":
+            return lines.k_1
+        case _:
+            return lines.k_1 + 0.5 * problem.sample_time * lines.k_2
 
 
 def largest_values(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.ndarray) -> np.ndarray:

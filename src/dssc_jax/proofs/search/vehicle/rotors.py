@@ -5,6 +5,7 @@ docs/vehicle_proofs.md has the formulas, by the symbols that stand beside each l
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from dssc_jax.proofs.problem import Interval
 from dssc_jax.proofs.search.vehicle.attitude import Attitude, OutOfRange, Signals
@@ -51,33 +52,46 @@ class Moments:
     yaw: float
 
 
-def inertia_ratios(inertia: tuple[Interval, ...]) -> tuple[float, float]:
-    """Factors of the gyroscopic coupling Omega x J Omega, over intervals of the inertia J_x, J_y, J_z.
+class GyroscopicFactors(NamedTuple):
+    """Factors of the gyroscopic coupling Omega x J Omega of a body with the inertia J_x, J_y, J_z.
 
-    Returns:
-        i_h, the largest |J_z - J_y|/J_x and |J_z - J_x|/J_y; and i_z, the largest |J_x - J_y|/J_z.
+    Args:
+        across: The largest |J_z - J_y|/J_x and |J_z - J_x|/J_y, for the part across body z.
+        along: The largest |J_x - J_y|/J_z, for the part along body z.
     """
+
+    across: float
+    along: float
+
+
+def gyroscopic_factors(inertia: tuple[Interval, ...]) -> GyroscopicFactors:
+    """The factors of the gyroscopic coupling over intervals of the inertia J_x, J_y, J_z."""
     x, y, z = inertia
-    i_h = max(largest_difference(z, y) / x[0], largest_difference(z, x) / y[0])
-    return i_h, largest_difference(x, y) / z[0]
+    (x_low, _), (y_low, _), (z_low, _) = inertia
+    return GyroscopicFactors(
+        across=max(largest_difference(z, y) / x_low, largest_difference(z, x) / y_low),
+        along=largest_difference(x, y) / z_low,
+    )
 
 
 def largest_difference(a: Interval, b: Interval) -> float:
     """The largest |a - b| over two intervals."""
-    (a_low, a_high), (b_low, b_high) = a, b
+    (a_low, a_high) = a
+    (b_low, b_high) = b
     return max(a_high - b_low, b_high - a_low)
 
 
-def believed_ratios(problem: VehicleProblem) -> tuple[float, float]:
+def believed_factors(problem: VehicleProblem) -> GyroscopicFactors:
     """j_h and j_z, the factors of the gyroscopic coupling with the inertia that the inner loops believe."""
-    return inertia_ratios(tuple((value, value) for value in problem.believed_inertia))
+    return gyroscopic_factors(tuple((value, value) for value in problem.believed_inertia))
 
 
 def moments_of(problem: VehicleProblem, attitude: Attitude) -> Moments:
     """Bounds r_mh and r_mz of how far the commanded angular acceleration mu_c is from m/g and from eta_psi."""
-    j_h, j_z = believed_ratios(problem)
+    j_h, j_z = believed_factors(problem)
     s = attitude.tilt
-    tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
+    tilt_demand = attitude.tilt_demand
+    yaw_demand = attitude.yaw_demand
     coupled_h = attitude.frame_h + j_h * attitude.rate_h * attitude.rate_z
     coupled_z = attitude.frame_z + j_z * attitude.rate_h**2 / 2.0
     turn_terms = problem.damping * attitude.yaw_rate * s + s * yaw_demand + s**2 * tilt_demand / 2.0 + coupled_h
@@ -115,11 +129,13 @@ def rotors_of(
     Raises:
         OutOfRange: A rotor may reach a limit, or may be too far behind its command.
     """
-    j_h, j_z = believed_ratios(problem)
-    n, k = problem.rotors, problem.thrust_coefficient
+    j_h, j_z = believed_factors(problem)
+    n = problem.rotors
+    k = problem.thrust_coefficient
     mass = problem.believed_mass
     s = attitude.tilt
-    tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
+    tilt_demand = attitude.tilt_demand
+    yaw_demand = attitude.yaw_demand
     plane = tilt_demand + s * yaw_demand + attitude.frame_h + j_h * attitude.rate_h * attitude.rate_z  # M_h
     yaw = yaw_demand + s * tilt_demand + attitude.frame_z + j_z * attitude.rate_h**2 / 2.0  # M_z
     added_thrust = moment_thrust(problem, plane, yaw)  # d_M

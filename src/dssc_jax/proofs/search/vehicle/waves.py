@@ -20,16 +20,19 @@ def add(waves: Waves, frequency: Fraction, phasor: complex) -> None:
 
 
 def product(left: Waves, right: Waves, factor: float) -> Waves:
-    """The product of two sums of sines and a factor: sines of the sums and differences of the frequencies."""
+    """The product of two sums of sines and a factor: sines of the sums and differences of the frequencies.
+
+    Re(a e^(i w t)) Re(b e^(i v t)) is half of Re(a b e^(i (w + v) t)) + Re(a conj(b) e^(i (w - v) t)).
+    """
     result: Waves = {}
-    for f, a in left.items():
-        for h, b in right.items():
-            add(result, f + h, 0.5 * factor * a * b)
-            add(result, f - h, 0.5 * factor * a * b.conjugate())
+    for left_frequency, a in left.items():
+        for right_frequency, b in right.items():
+            add(result, left_frequency + right_frequency, 0.5 * factor * a * b)
+            add(result, left_frequency - right_frequency, 0.5 * factor * a * b.conjugate())
     return result
 
 
-def total(*sums: Waves) -> Waves:
+def wave_sum(*sums: Waves) -> Waves:
     """The sum of several sums of sines."""
     result: Waves = {}
     for waves in sums:
@@ -38,14 +41,14 @@ def total(*sums: Waves) -> Waves:
     return result
 
 
-def rate_of(frequency: Fraction) -> float:
+def angular_frequency(frequency: Fraction) -> float:
     """The angular frequency [rad/s] that belongs to a frequency [Hz]."""
     return 2.0 * math.pi * float(frequency)
 
 
 def derivative(waves: Waves) -> Waves:
     """The derivative of a sum of sines in time."""
-    return {frequency: 1j * rate_of(frequency) * phasor for frequency, phasor in waves.items()}
+    return {frequency: 1j * angular_frequency(frequency) * phasor for frequency, phasor in waves.items()}
 
 
 def multiple(waves: Waves, factor: float) -> Waves:
@@ -53,7 +56,7 @@ def multiple(waves: Waves, factor: float) -> Waves:
     return {frequency: factor * phasor for frequency, phasor in waves.items()}
 
 
-def size(waves: Waves) -> float:
+def largest_magnitude(waves: Waves) -> float:
     """A bound of the magnitude of a sum of sines at all times: the sum of the amplitudes."""
     return sum(abs(phasor) for phasor in waves.values())
 

@@ -18,11 +18,11 @@ from dssc_jax.proofs.verifier.vehicle.implied import (
     REACH,
     Inputs,
     Vehicle,
+    axis_factor,
     implied_bounds,
     inputs_under,
     sigmas_under,
     start_sizes,
-    vector_share,
 )
 from dssc_jax.proofs.verifier.vehicle.remainders import Remainders
 from dssc_jax.proofs.verifier.vehicle.rotors import Rotors
@@ -128,16 +128,16 @@ def bounds_at_phases(
         inputs: Bounds of the inputs in each cell.
         responses: Responses of the channel in the cells.
     """
-    shares = np.array([float_above(vector_share(name, signal).upper()) for signal in responses.signals])  # h
+    factors = np.array([float_above(axis_factor(name, signal).upper()) for signal in responses.signals])  # h
     sizes = np.array([input_sizes(name, cell_inputs, responses.remainders) for cell_inputs in inputs])
     constant = float_above(inputs[0].remainders.constant)
     _, _, q_deviation = start_sizes(vehicle, name)
-    phase_bounds = responses.starts + shares * float_above(q_deviation) * responses.deviations
+    phase_bounds = responses.starts + factors * float_above(q_deviation) * responses.deviations
     phase_bounds = phase_bounds + constant * responses.constants
     last = len(bounds) - 1
     for j in range(last + 1):
         effects = effects_of(responses, sizes[: j + 1], is_last=j == last)
-        phase_bounds[j] += shares * effects[:, :OMEGAS].sum(axis=1) + effects[:, OMEGAS:].sum(axis=1)
+        phase_bounds[j] += factors * effects[:, :OMEGAS].sum(axis=1) + effects[:, OMEGAS:].sum(axis=1)
     return SUMMED * phase_bounds
 
 

@@ -77,7 +77,7 @@ def cell_responses(
     """
     t = arb(problem["sample_time"])
     initial = np.array([float(value) for value in problem["channels"][name]["initial"]])  # E_0 and V_0
-    along = np.array([phase_signal.name in ALONG_AXES for phase_signal in observation.phase_signals])
+    is_along_axes = np.array([phase_signal.name in ALONG_AXES for phase_signal in observation.phase_signals])
     weights = input_weights(observation, t)
     q = observation.inputs.ncols()
     offset_middles = middles(observation.offsets)
@@ -94,19 +94,20 @@ def cell_responses(
         sample_errors = block.error + block.radius_effect
         effects = (np.abs(block.response[..., :q]) + sample_errors[:, :q]) @ weights
         # the response at sample k after an input is eps_(k + 1), the effect one sample later than eps_k
-        cells, first_places = cells_of(sample_count + 1, len(effects), samples, count)
-        effect_sums[cells] += np.add.reduceat(effects, first_places, axis=0)
+        effect_places = cells_of(sample_count + 1, len(effects), samples, count)
+        effect_sums[effect_places.cells] += np.add.reduceat(effects, effect_places.first_places, axis=0)
         values = np.abs(block.response[..., q:] + offset_middles) + sample_errors[:, q:] + offset_errors
-        cells, first_places = cells_of(sample_count, len(values), samples, count)
-        cell_peaks = np.maximum.reduceat(start_responses(values, initial, along), first_places, axis=0)
-        peaks[cells] = np.maximum(peaks[cells], cell_peaks)
+        places = cells_of(sample_count, len(values), samples, count)
+        responses = start_responses(values, initial, is_along_axes)
+        cell_peaks = np.maximum.reduceat(responses, places.first_places, axis=0)
+        peaks[places.cells] = np.maximum(peaks[places.cells], cell_peaks)
         sample_count += len(values)
         tail = (block.tail[:, :q] * tail_factor) @ weights
-        decaying = start_responses(block.tail[:, q:], initial, along)
+        decaying = start_responses(block.tail[:, q:], initial, is_along_axes)
         sums_end = np.all(tail <= TAIL_SHARE * effect_sums.sum(axis=0))
         if sample_count > samples * (count + 1) and sums_end and np.all(decaying <= negligible_responses(peaks)):
             last_values = block.tail[:, q:] + np.abs(offset_middles) + offset_errors
-            peaks[-1] = np.maximum(peaks[-1], start_responses(last_values, initial, along))
+            peaks[-1] = np.maximum(peaks[-1], start_responses(last_values, initial, is_along_axes))
             sums = np.concatenate([direct[None], np.cumsum(effect_sums[:-1], axis=0)])  # G at the ends of the cells
             starts, deviations, constants = np.moveaxis(SUMMED * peaks, 2, 0)
             return CellResponses(
@@ -135,25 +136,37 @@ def negligible_responses(peaks: np.ndarray) -> np.ndarray:
     return negligible
 
 
-def start_responses(sizes: np.ndarray, initial: np.ndarray, along: np.ndarray) -> np.ndarray:
+def start_responses(sizes: np.ndarray, initial: np.ndarray, is_along_axes: np.ndarray) -> np.ndarray:
     """Responses to the start, to a deviation of q_(-1) and to the constant, shape (..., rows, 3).
 
     Args:
         sizes: Magnitudes of the responses to each column of the starts, shape (..., rows, 4 + axes).
         initial: E_0 and V_0.
-        along: Whether each signal is bounded along each axis, so that the larger one of its known offsets counts;
-            else their norm. Shape (rows,).
+        is_along_axes: Whether each signal is bounded along each axis, so that the larger one of its known offsets
+            counts; else their norm. Shape (rows,).
     """
     by_error = sizes[..., :2] @ initial
     by_q = sizes[..., 2]
     by_constant = sizes[..., 3]
     offsets = sizes[..., FIRST_OFFSET:]
-    by_offset = np.where(along, offsets.max(axis=-1, initial=0.0), np.sqrt((offsets**2).sum(axis=-1)))
+    by_offset = np.where(is_along_axes, offsets.max(axis=-1, initial=0.0), np.sqrt((offsets**2).sum(axis=-1)))
     return np.stack([by_error + by_offset, by_q, by_constant], axis=-1)
 
 
-def cells_of(earlier_count: int, length: int, samples: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The cells in which some successive samples lie, and the place of each cell's first sample among the samples.
+class CellPlaces(NamedTuple):
+    """The cells in which some successive samples lie.
+
+    Args:
+        cells: Numbers of the cells, shape (cells,).
+        first_places: Place of each cell's first sample among the samples, shape (cells,).
+    """
+
+    cells: np.ndarray
+    first_places: np.ndarray
+
+
+def cells_of(earlier_count: int, length: int, samples: int, count: int) -> CellPlaces:
+    """The cells in which some successive samples lie.
 
     Args:
         earlier_count: Number of samples before these.
@@ -163,7 +176,7 @@ def cells_of(earlier_count: int, length: int, samples: int, count: int) -> tuple
     """
     cell_of_sample = np.minimum((earlier_count + np.arange(length)) // samples, count)
     first_places = np.flatnonzero(np.diff(cell_of_sample, prepend=-1))  # where the cell changes
-    return cell_of_sample[first_places], first_places
+    return CellPlaces(cell_of_sample[first_places], first_places)
 
 
 def input_weights(observation: ChannelObservation, t: arb) -> np.ndarray:

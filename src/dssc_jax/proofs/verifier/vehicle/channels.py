@@ -6,12 +6,12 @@ row over (chi, U). At the samples the state is z = (chi, u_(k-1), ..., u_(k-D), 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.verifier.balls import identity, side_by_side, stack, unit_rows
+from dssc_jax.proofs.verifier.balls import identity, maximum, side_by_side, stack, total, unit_rows
 from dssc_jax.proofs.verifier.held_plant import delay_weights
 from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, MiddleProof, VehicleProblem
 
@@ -90,6 +90,15 @@ def signal_names(name: str, *, lagging: bool) -> set[str]:
             names |= {"follow"}
             lag_signals = {"gamma", "behind"}
     return names | lag_signals if lagging else names
+
+
+def size_over_axes(signal: str, axes: Sequence[arb]) -> arb:
+    """A bound of a signal from bounds along each axis: the larger one, or the norm where the signal is a vector."""
+    if not axes:
+        return arb(0)
+    if len(axes) == 1 or signal in ALONG_AXES:
+        return maximum(*axes)
+    return total([size * size for size in axes]).sqrt().upper()
 
 
 def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
@@ -284,8 +293,20 @@ def with_zeros(row: arb_mat, n: int, m: int) -> arb_mat:
     return arb_mat([[*row.tolist()[0][:n], *[arb(0)] * (m - n)]])
 
 
-def row_at(channel: Channel, sampled: SampledChannel, signal: str, transition: arb_mat) -> tuple[arb_mat, arb]:
-    """A signal within a sample: as a row over z_k, shape (1, m), and its factor of this sample's own command u_k.
+class SignalWithin(NamedTuple):
+    """A signal within a sample.
+
+    Args:
+        row: The signal as a row over the state z_k at the sample, shape (1, m).
+        by_fresh: Its factor of this sample's command u_k.
+    """
+
+    row: arb_mat
+    by_fresh: arb
+
+
+def signal_within(channel: Channel, sampled: SampledChannel, signal: str, transition: arb_mat) -> SignalWithin:
+    """A signal at a time within a sample.
 
     Args:
         channel: The linear channel.
@@ -296,4 +317,7 @@ def row_at(channel: Channel, sampled: SampledChannel, signal: str, transition: a
     n = channel.order
     row = channel.signals[signal] * transition
     by_command = row[0, n]
-    return with_zeros(row, n, sampled.a.nrows()) + sampled.acting * by_command, by_command * sampled.fresh
+    return SignalWithin(
+        row=with_zeros(row, n, sampled.a.nrows()) + sampled.acting * by_command,
+        by_fresh=by_command * sampled.fresh,
+    )

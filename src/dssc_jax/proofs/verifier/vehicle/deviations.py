@@ -13,7 +13,7 @@ from flint import arb
 
 from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum, minimum_bound
 from dssc_jax.proofs.verifier.certificate import Problem
-from dssc_jax.proofs.verifier.function_distances import function_distances
+from dssc_jax.proofs.verifier.function_distances import StraightLines, function_distances
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.premises import with_premise
@@ -26,34 +26,34 @@ class Deviations(NamedTuple):
     """Upper bounds of how far a channel's functions are from straight lines over a region of |sigma|, along one axis.
 
     Args:
-        d_1: D_1, bound of |phi_1 - k_1 sigma|.
-        d_2: D_2, bound of |omega_r|.
-        d_b: D_b, bound of |omega_u|.
-        share_1: d_1 of docs/vehicle_proofs.md, bound of |phi_1 - k_1 sigma|/|sigma|.
-        share_2: Its d_2, bound of |omega_r|/|sigma|.
-        share_b: Its d_b, bound of |omega_u|/|sigma|.
+        phi_1_distance: D_1 of docs/vehicle_proofs.md, bound of |phi_1 - k_1 sigma|.
+        omega_r_distance: D_2, bound of |omega_r|.
+        omega_u_distance: D_b, bound of |omega_u|.
+        phi_1_ratio: d_1, bound of |phi_1 - k_1 sigma|/|sigma|.
+        omega_r_ratio: d_2, bound of |omega_r|/|sigma|.
+        omega_u_ratio: d_b, bound of |omega_u|/|sigma|.
         k_p: Largest K_P.
         k_i: Largest K_I [1/s].
         tau_av: Largest tau_av [s].
     """
 
-    d_1: arb
-    d_2: arb
-    d_b: arb
-    share_1: arb
-    share_2: arb
-    share_b: arb
+    phi_1_distance: arb
+    omega_r_distance: arb
+    omega_u_distance: arb
+    phi_1_ratio: arb
+    omega_r_ratio: arb
+    omega_u_ratio: arb
     k_p: arb
     k_i: arb
     tau_av: arb
 
     def of_command(self, sigma: arb) -> arb:
         """Bound of |omega_u|, what the command deviates by, for |sigma| up to ``sigma``: min(D_b, d_b |sigma|)."""
-        return minimum_bound(self.d_b, self.share_b * sigma)
+        return minimum_bound(self.omega_u_distance, self.omega_u_ratio * sigma)
 
     def of_integral(self, sigma: arb) -> arb:
         """Bound of |omega_r|, what the sum q deviates by, for |sigma| up to ``sigma``: min(D_2, d_2 |sigma|)."""
-        return minimum_bound(self.d_2, self.share_2 * sigma)
+        return minimum_bound(self.omega_r_distance, self.omega_r_ratio * sigma)
 
     def of_start(self, start: str, sigma: arb, sample_time: arb, share: arb) -> arb:
         """Bound of what q_(-1), the sum before the first sample, deviates by from that of straight lines.
@@ -69,7 +69,7 @@ class Deviations(NamedTuple):
         """
         if start == "zero":
             return arb(0)
-        deviation = minimum_bound(self.d_1, self.share_1 * sigma)
+        deviation = minimum_bound(self.phi_1_distance, self.phi_1_ratio * sigma)
         if start == "midpoint":
             omega_q = self.of_integral(sigma) + abs(share) * self.of_command(sigma)
             deviation = deviation + sample_time / 2 * omega_q
@@ -118,6 +118,7 @@ def deviations_of(
     controller = problem["channels"][name]
     k_1, k_2, k_3 = map(arb, proof["slopes"])
     slopes = {"mean": k_1, "k_i": k_2, "k_n": k_3}  # of phi_1, phi_2 and phi_3, by the gains that are their ratios
+    lines = StraightLines(slopes, proof["share"])
     loop = cast(
         Problem,  # only the entries that the gains depend on
         {
@@ -129,21 +130,19 @@ def deviations_of(
         },
     )
     try:
-        distances = function_distances(
-            loop, sigma, e=0.0, centre=slopes, room=DISTANCE_ROOM, sigma_from=sigma_from, share=proof["share"]
-        )
+        distances = function_distances(loop, sigma, e=0.0, lines=lines, room=DISTANCE_ROOM, sigma_from=sigma_from)
         gains = enclosed_gains(loop, sigma, e=0.0, sigma_from=sigma_from)
     except Rejected as rejected:
         raise with_premise(rejected, "V2", f" of {name}") from None
-    shares = Balls({gain: abs(gains[gain] - slope).upper() for gain, slope in slopes.items()})
-    share_b = (shares["mean"] + shares["k_n"]).upper()
+    ratios = Balls({gain: abs(gains[gain] - slope).upper() for gain, slope in slopes.items()})
+    omega_u_ratio = (ratios["mean"] + ratios["k_n"]).upper()
     return Deviations(
-        d_1=distances["phi_1"].upper(),
-        d_2=distances["phi_2"].upper(),
-        d_b=distances["both"].upper(),
-        share_1=shares["mean"],
-        share_2=(shares["k_i"] + abs(arb(proof["share"])) * share_b).upper(),
-        share_b=share_b,
+        phi_1_distance=distances["phi_1"].upper(),
+        omega_r_distance=distances["phi_2"].upper(),
+        omega_u_distance=distances["both"].upper(),
+        phi_1_ratio=ratios["mean"],
+        omega_r_ratio=(ratios["k_i"] + abs(arb(proof["share"])) * omega_u_ratio).upper(),
+        omega_u_ratio=omega_u_ratio,
         k_p=gains["k_p"].upper(),
         k_i=gains["k_i"].upper(),
         tau_av=gains["tau_av"].upper(),

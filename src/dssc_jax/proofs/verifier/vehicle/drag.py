@@ -143,7 +143,9 @@ def vertical_drag(region: DragRegion) -> arb:
     3. r >= 0, c a - x r: largest at the smallest r and x. If a <= W, r = 0 and c a is less than in the first case. Else
        it is c a - k (a - W)^2/M_+, which rises until a - W = c M_+/(2 k), to c W + c^2 M_+/(4 k).
     """
-    speed, wind, damping = region.speed, region.wind, region.damping
+    speed = region.speed
+    wind = region.wind
+    damping = region.damping
     farthest = speed + wind
     largest_a = minimum(speed, wind)
     slowest = wind - largest_a

@@ -12,7 +12,7 @@ from dssc_jax.proofs.verifier.balls import Balls
 from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.channels import SignalBalls
 from dssc_jax.proofs.verifier.vehicle.nominal import OUTPUT_RATE
-from dssc_jax.proofs.verifier.vehicle.waves import at_start, largest, rate, sine_wave
+from dssc_jax.proofs.verifier.vehicle.waves import derivative, largest_magnitude, sine_wave, value_at_start
 
 
 class Flight(NamedTuple):
@@ -35,20 +35,20 @@ class Coupling(NamedTuple):
     alpha_0 = y_m'' + c y_m' is the alpha that the reference needs in the plane.
 
     Args:
-        alpha: G_alpha, bound of |alpha - alpha_0| [m/s^2].
-        wanted: G_a, bound of |a_h - alpha_0| [m/s^2].
-        lift: G_z, bound of |a_z - z_m''| [m/s^2].
-        yaw: G_psi, bound of |psi' - psi_m'| [rad/s].
-        lift_known: A_m, bound of |z_m''| [m/s^2].
-        yaw_known: Psi_m, bound of |psi_m'| [rad/s].
+        alpha_gap: G_alpha, bound of |alpha - alpha_0| [m/s^2].
+        wanted_gap: G_a, bound of |a_h - alpha_0| [m/s^2].
+        lift_gap: G_z, bound of |a_z - z_m''| [m/s^2].
+        yaw_gap: G_psi, bound of |psi' - psi_m'| [rad/s].
+        lift: A_m, bound of |z_m''| [m/s^2].
+        yaw: Psi_m, bound of |psi_m'| [rad/s].
     """
 
-    alpha: arb
-    wanted: arb
+    alpha_gap: arb
+    wanted_gap: arb
+    lift_gap: arb
+    yaw_gap: arb
     lift: arb
     yaw: arb
-    lift_known: arb
-    yaw_known: arb
 
 
 def flight_of(problem: VehicleProblem, channels: Mapping[str, Balls]) -> Flight | None:
@@ -61,8 +61,8 @@ def flight_of(problem: VehicleProblem, channels: Mapping[str, Balls]) -> Flight 
     sines = problem["reference"]
     if sines is None:
         return None
-    lift = largest(rate(rate(sine_wave(sines["z"]))))  # of z_m''
-    yaw = largest(rate(sine_wave(sines["psi"])))  # of psi_m'
+    lift = largest_magnitude(derivative(derivative(sine_wave(sines["z"]))))  # of z_m''
+    yaw = largest_magnitude(derivative(sine_wave(sines["psi"])))  # of psi_m'
     return Flight(channels, lift, yaw)
 
 
@@ -104,12 +104,12 @@ def coupling_under(flight: Flight | None, bounds: SignalBalls) -> Coupling | Non
     if flight is None:
         return None
     return Coupling(
-        alpha=(flight.bounds["x"]["alpha_gap"] + bounds["x"]["alpha"]).upper(),
-        wanted=(flight.bounds["x"]["wanted_gap"] + bounds["x"]["wanted"]).upper(),
-        lift=(flight.bounds["z"]["lift_gap"] + bounds["z"]["wanted"]).upper(),
-        yaw=(flight.bounds["psi"]["yaw_gap"] + bounds["psi"]["e_dot"]).upper(),
-        lift_known=flight.lift,
-        yaw_known=flight.yaw,
+        alpha_gap=(flight.bounds["x"]["alpha_gap"] + bounds["x"]["alpha"]).upper(),
+        wanted_gap=(flight.bounds["x"]["wanted_gap"] + bounds["x"]["wanted"]).upper(),
+        lift_gap=(flight.bounds["z"]["lift_gap"] + bounds["z"]["wanted"]).upper(),
+        yaw_gap=(flight.bounds["psi"]["yaw_gap"] + bounds["psi"]["e_dot"]).upper(),
+        lift=flight.lift,
+        yaw=flight.yaw,
     )
 
 
@@ -121,4 +121,4 @@ def initial_yaw_rate(problem: VehicleProblem, name: str) -> arb:
     sines = problem["reference"]
     if sines is None or name != "psi":
         return arb(0)
-    return abs(at_start(rate(sine_wave(sines["psi"])))).upper()
+    return abs(value_at_start(derivative(sine_wave(sines["psi"])))).upper()

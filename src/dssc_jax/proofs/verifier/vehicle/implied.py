@@ -152,7 +152,7 @@ def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, fro
         for signal, phases in vehicle.responses[name].items():
             largest = arb(0)
             for response in phases:
-                value = signal_bound(name, inputs, response, starts, vector_share(name, signal))
+                value = signal_bound(name, inputs, response, starts, axis_factor(name, signal))
                 require_premise(value.is_finite(), f"V4: the bound of {name}.{signal} is not finite")
                 largest = maximum(largest, value.upper())
             growth = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]  # u_av has no time between samples
@@ -165,7 +165,7 @@ def signal_bound(
     inputs: Inputs,
     response: SignalResponse,
     starts: list[arb] | None,
-    share: arb,
+    factor: arb,
 ) -> arb:
     """The bound of a signal at one phase: the sum of its responses to all inputs, to the constant and to the start.
 
@@ -174,14 +174,14 @@ def signal_bound(
         inputs: Bounds of the inputs.
         response: Response of the signal at the phase, to inputs of size 1.
         starts: E_0, V_0 and the bound of q_(-1)'s deviation; None for upper limits, which no start affects.
-        share: h, by :func:`vector_share`.
+        factor: h, by :func:`axis_factor`.
     """
     deviations = inputs.deviations[name]
     sigma = inputs.sigma[name]
     remainder_bounds = inputs.remainders.channels[name]
     terms = [
-        share * deviations.of_command(sigma) * response.command,
-        share * deviations.of_integral(sigma) * response.integral,
+        factor * deviations.of_command(sigma) * response.command,
+        factor * deviations.of_integral(sigma) * response.integral,
         inputs.remainders.constant * (response.constant if starts else response.settled_constant),
     ]
     terms += [remainder_bounds[remainder] * size for remainder, size in response.remainders.items()]
@@ -189,11 +189,11 @@ def signal_bound(
         e, e_dot, deviation = starts
         e_response, e_dot_response, deviation_response = response.starts
         terms += [e * e_response, e_dot * e_dot_response]
-        terms += [share * deviation * deviation_response, response.start_offset]
+        terms += [factor * deviation * deviation_response, response.start_offset]
     return total(terms)
 
 
-def vector_share(name: str, signal: str) -> arb:
+def axis_factor(name: str, signal: str) -> arb:
     """h, the factor of the omegas' bounds: 2^(1/2) in a signal that is a norm of the plane, since both axes add."""
     return arb(1) if name != "x" or signal in ALONG_AXES else arb(2).sqrt()
 

@@ -13,18 +13,18 @@ from typing import NamedTuple
 from flint import acb, acb_mat, arb, arb_mat
 
 from dssc_jax.proofs.verifier.balls import Balls, Rejected, interval_ball, maximum, require_premise
-from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, MiddleProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.channels import ALONG_AXES, EQUIVALENT, Channel, SampledChannel
 from dssc_jax.proofs.verifier.vehicle.ranges import GRAVITY
 from dssc_jax.proofs.verifier.vehicle.waves import (
     Waves,
-    angular,
-    at_start,
+    angular_frequency,
+    derivative,
     multiple,
-    rate,
+    product,
     sine_wave,
-    sum_of,
-    times,
+    value_at_start,
+    wave_sum,
 )
 
 AXES = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
@@ -82,54 +82,66 @@ def axis_inputs_of(problem: VehicleProblem, name: str, damping: arb) -> list[Axi
     assert sines is not None
     references = {axis: sine_wave(sines[axis]) for axis in sines}
     if name == "psi":
-        comparisons = {"yaw_gap": (OUTPUT_RATE, rate(references["psi"]))}
+        comparisons = {"yaw_gap": (OUTPUT_RATE, derivative(references["psi"]))}
         return [AxisInputs(references["psi"], known_remainders={}, comparisons=comparisons)]
-    lift = rate(rate(references["z"]))  # z_m''
+    lift = derivative(derivative(references["z"]))  # z_m''
     if name == "z":
         return [AxisInputs(references["z"], known_remainders={}, comparisons={"lift_gap": ("wanted", lift)})]
-    yaw_rate = rate(references["psi"])
-    alpha_0 = {axis: sum_of(rate(rate(references[axis])), multiple(rate(references[axis]), damping)) for axis in "xy"}
+    yaw_rate = derivative(references["psi"])
+    alpha_0 = {}
+    for axis in "xy":
+        speed = derivative(references[axis])
+        alpha_0[axis] = wave_sum(derivative(speed), multiple(speed, damping))
     quarter_turn = {"x": multiple(alpha_0["y"], arb(-1)), "y": alpha_0["x"]}
     axes = []
     for axis in "xy":
-        force = multiple(times(lift, alpha_0[axis]), 1 / arb(GRAVITY))
-        yaw_torque = multiple(times(yaw_rate, quarter_turn[axis]), arb(problem["damping"]))
-        torque = sum_of(yaw_torque, multiple(force, -arb(problem["stiffness"])))
+        force = multiple(product(lift, alpha_0[axis]), 1 / arb(GRAVITY))
+        yaw_torque = multiple(product(yaw_rate, quarter_turn[axis]), arb(problem["damping"]))
+        torque = wave_sum(yaw_torque, multiple(force, -arb(problem["stiffness"])))
         comparisons = {"alpha_gap": ("alpha", alpha_0[axis]), "wanted_gap": ("wanted", alpha_0[axis])}
         axes.append(AxisInputs(references[axis], {"force": force, "torque": torque}, comparisons))
     return axes
 
 
-def channel_flight(
-    problem: VehicleProblem,
-    name: str,
-    proof: MiddleProof,
-    channel: Channel,
-    sampled: SampledChannel,
-    phases: Sequence[arb],
-) -> ChannelFlight:
+class DrivenChannel(NamedTuple):
+    """A channel with its controller, which a moving reference drives.
+
+    Args:
+        name: Name of the channel.
+        controller: Its controller.
+        proof: Its proof, with the slopes of the straight lines.
+        channel: Its linear channel.
+        sampled: The channel at its samples.
+        sample_time: T_s [s].
+        phases: Times within a sample at which signals are bounded [s]; every time is within T_s/8 of one of them.
+    """
+
+    name: str
+    controller: ChannelProblem
+    proof: MiddleProof
+    channel: Channel
+    sampled: SampledChannel
+    sample_time: arb
+    phases: Sequence[arb]
+
+
+def channel_flight(problem: VehicleProblem, driven: DrivenChannel) -> ChannelFlight:
     """(V1) Bounds of the nominal flight in a channel, the sum of the steady responses to all frequencies.
 
     Each frequency adds the largest size of a signal at the phases, plus T_s/8 times the largest slope.
 
     Args:
         problem: The certificate's problem, with a reference.
-        name: Name of the channel.
-        proof: Its proof, with the slopes of the straight lines.
-        channel: Its linear channel.
-        sampled: The channel at its samples.
-        phases: Times within a sample at which signals are bounded [s]; every time is within T_s/8 of one of them.
+        driven: The channel.
     """
-    axes = axis_inputs_of(problem, name, arb(proof["drag_damping"]))
+    axes = axis_inputs_of(problem, driven.name, arb(driven.proof["drag_damping"]))
     frequencies = sorted({frequency for inputs in axes for frequency in inputs.frequencies})
-    eighth = arb(problem["sample_time"]) / 8
+    eighth = driven.sample_time / 8
     bounds = Balls()
-    starts = [first_state(problem, name, proof, sampled, inputs) for inputs in axes]
-    flight_states = [arb_mat(sampled.a.nrows(), 1) for _ in axes]
+    starts = [first_state(driven, inputs) for inputs in axes]
+    flight_states = [arb_mat(driven.sampled.a.nrows(), 1) for _ in axes]
     for frequency in frequencies:
-        responses = []
-        for inputs in axes:
-            responses.append(steady_response(problem, name, proof, channel, sampled, inputs, frequency, phases))
+        responses = [steady_response(driven, inputs, frequency) for inputs in axes]
         for signal in responses[0].phasors:
             size_at_phases = size_of(signal, [response.phasors[signal] for response in responses])
             slope = size_of(signal, [[response.slopes[signal]] for response in responses])
@@ -169,7 +181,7 @@ class InputPhasors(NamedTuple):
 
 def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
     """The phasors at one frequency [Hz] of the known motion along an axis; 0 where it has no such frequency."""
-    i_omega = acb(0, angular(frequency))
+    i_omega = acb(0, angular_frequency(frequency))
     speed = i_omega * inputs.reference.get(frequency, acb(0))
     known_remainders = {name: waves.get(frequency, acb(0)) for name, waves in inputs.known_remainders.items()}
     return InputPhasors(speed, i_omega * speed, known_remainders)
@@ -222,36 +234,24 @@ def signal_rows(
     return rows
 
 
-def steady_response(
-    problem: VehicleProblem,
-    name: str,
-    proof: MiddleProof,
-    channel: Channel,
-    sampled: SampledChannel,
-    inputs: AxisInputs,
-    frequency: Fraction,
-    phases: Sequence[arb],
-) -> SteadyResponse:
+def steady_response(driven: DrivenChannel, inputs: AxisInputs, frequency: Fraction) -> SteadyResponse:
     """The steady response of a channel to what drives one of its axes at one frequency f.
 
     Args:
-        problem: The certificate's problem, with a reference.
-        name: Name of the channel.
-        proof: Its proof, with the slopes of the straight lines.
-        channel: Its linear channel.
-        sampled: The channel at its samples.
+        driven: The channel.
         inputs: The known motion along the axis.
         frequency: f [Hz].
-        phases: Times within a sample at which signals are bounded [s].
 
     Raises:
         Rejected: The response cannot be enclosed.
     """
-    controller = problem["channels"][name]
-    t = arb(problem["sample_time"])
+    controller = driven.controller
+    channel = driven.channel
+    sampled = driven.sampled
+    t = driven.sample_time
     l0 = arb(controller["l0"])
-    k_1, k_2, k_3 = map(arb, proof["slopes"])
-    i_omega = acb(0, angular(frequency))
+    k_1, k_2, k_3 = map(arb, driven.proof["slopes"])
+    i_omega = acb(0, angular_frequency(frequency))
     drive = input_phasors(inputs, frequency)
     integral_input = -t * k_2 * drive.speed  # into q, by -y_m' in sigma
     command_input = (k_1 + k_3) * drive.speed - integral_input
@@ -265,11 +265,11 @@ def steady_response(
     if memory_inputs:
         memory_inputs[0] = command_input
     sample_input += [*memory_inputs, integral_input]
-    state = steady_state(sampled.a, (i_omega * acb(t)).exp(), sample_input, name)  # Z_f
+    state = steady_state(sampled.a, (i_omega * acb(t)).exp(), sample_input, driven.name)  # Z_f
     acting_command = row_product(sampled.acting, state) + sampled.fresh * command_input
     begin = acb_mat([[state[i, 0]] for i in range(n)] + [[acting_command], [acb(1)]])  # (chi, U, wave)
     rows = signal_rows(channel, inputs, drive, l0, frequency)
-    states_at_phases = [(generator * acb(time)).exp() * begin for time in phases]
+    states_at_phases = [(generator * acb(time)).exp() * begin for time in driven.phases]
     over_sample = acb(t * interval_ball(0.0, 1.0))  # all times within a sample
     state_slope = (generator * over_sample).exp() * (generator * begin)
     phasors = Phasors()
@@ -334,17 +334,15 @@ def size_of(signal: str, axes: Sequence[Sequence[acb]]) -> arb:
     return largest_size
 
 
-def first_state(
-    problem: VehicleProblem, name: str, proof: MiddleProof, sampled: SampledChannel, inputs: AxisInputs
-) -> arb_mat:
+def first_state(driven: DrivenChannel, inputs: AxisInputs) -> arb_mat:
     """The known part of the vehicle's z_0 on an axis, shape (m, 1).
 
     The vehicle starts with the velocity of its reference, but does not turn: there sigma_0 = -psi_m' sets q_(-1).
     """
-    speed = at_start(rate(inputs.reference))
-    entries = [arb(0)] * sampled.a.nrows()
-    if name == "psi":
-        ratio = start_ratio(proof, problem["channels"][name]["start"], arb(problem["sample_time"]))
+    speed = value_at_start(derivative(inputs.reference))
+    entries = [arb(0)] * driven.sampled.a.nrows()
+    if driven.name == "psi":
+        ratio = start_ratio(driven.proof, driven.controller["start"], driven.sample_time)
         entries[-1] = ratio * speed
     else:
         entries[1] = speed

@@ -19,6 +19,18 @@ from dssc_jax.proofs.verifier.vehicle.ranges import Ranges
 from dssc_jax.proofs.verifier.vehicle.rotors import RotorLag, Rotors, rotor_lag_of, rotors_of
 
 
+class TurningRemainders(NamedTuple):
+    """Bounds of the remainders of the vehicle's turns: ``torque`` and, with a rotor lag, ``lag``.
+
+    Args:
+        plane: x.torque [m/s^2] and x.lag [m/s^3], by name.
+        yaw: psi.torque [rad/s^2] and psi.lag [rad/s^3], by name.
+    """
+
+    plane: Balls
+    yaw: Balls
+
+
 class Remainders(NamedTuple):
     """Bounds of the remainders, and of the tilt and the rotors on the way to them.
 
@@ -66,13 +78,13 @@ def remainders_of(
     lag = rotor_lag_of(problem, ranges, bounds, attitude, rotors, earlier_shortfall)
     drag = drag_of(problem, ranges, bounds, dampings, attitude, rotors, lag)
     if problem["rotor_lag"] == 0:
-        plane, yaw = torques_without_lag(problem, ranges, bounds, attitude, drag, coupling)
+        turning = torques_without_lag(problem, ranges, bounds, attitude, drag, coupling)
     else:
-        plane, yaw = torques_with_lag(problem, ranges, bounds, attitude, drag, lag)
+        turning = torques_with_lag(problem, ranges, bounds, attitude, drag, lag)
     channels = {
-        "x": {"force": plane_force(ranges, attitude, drag, coupling)} | plane,
+        "x": {"force": plane_force(ranges, attitude, drag, coupling)} | turning.plane,
         "z": vertical_remainders(problem, ranges, attitude, drag, lag),
-        "psi": yaw,
+        "psi": turning.yaw,
     }
     constant = (ranges.thrust_deviation * ranges.gravity).upper()
     return Remainders(channels, constant, attitude.tilt, rotors, lag.shortfall)
@@ -95,7 +107,9 @@ def lift_force(ranges: Ranges, attitude: Attitude, coupling: Coupling | None) ->
     """
     if coupling is None:
         return attitude.achieved_lift * attitude.tangent  # Q t
-    gap_force = (coupling.lift * ranges.gravity * attitude.tilt + coupling.lift_known * coupling.alpha) / ranges.gravity
+    gap_force = (
+        coupling.lift_gap * ranges.gravity * attitude.tilt + coupling.lift * coupling.alpha_gap
+    ) / ranges.gravity
     return attitude.achieved_lift * attitude.tilt * (attitude.secant - 1) + gap_force
 
 
@@ -118,7 +132,8 @@ def coupled_torque(
 ) -> arb:
     """Bound of |a_0 g (b_d - a_h/g)| + |a_1 psi' K alpha| [m/s^2], without the known parts of a moving vehicle.
 
-    The first term is there because the desired tilt b_d is not linear, the second because the plane turns.
+    The first term is there because the desired tilt b_d is not linear, the second because the plane turns. The
+    arguments are those of :func:`torques_without_lag`.
     """
     g = ranges.gravity
     stiffness = arb(problem["stiffness"])
@@ -128,8 +143,8 @@ def coupled_torque(
     demand = bounds["x"]["wanted"]  # A_h
     desired_tangent = demand / (g - attitude.lift)  # t_d
     tilt_term = g * desired_tangent**3 / 3 + attitude.lift * attitude.lift * desired_tangent / g
-    lift_term = (coupling.lift * demand + coupling.lift_known * coupling.wanted) / g
-    yaw_term = coupling.yaw * g * attitude.tilt + coupling.yaw_known * coupling.alpha
+    lift_term = (coupling.lift_gap * demand + coupling.lift * coupling.wanted_gap) / g
+    yaw_term = coupling.yaw_gap * g * attitude.tilt + coupling.yaw * coupling.alpha_gap
     return stiffness * (tilt_term + lift_term) + damping * yaw_term
 
 
@@ -140,14 +155,25 @@ def torques_without_lag(
     attitude: Attitude,
     drag: DragBounds,
     coupling: Coupling | None,
-) -> tuple[Balls, Balls]:
-    """x.torque [m/s^2] and psi.torque [rad/s^2] without a rotor lag, each in a table by its name.
+) -> TurningRemainders:
+    """The torques without a rotor lag.
 
     m_h and m_z bound how far the body's angular acceleration is from the wanted one, across and along body z [rad/s^2].
+
+    Args:
+        problem: The certificate's problem.
+        ranges: Numbers that follow from its intervals.
+        bounds: Bounds of the vehicle's signals.
+        attitude: Bounds of the attitude.
+        drag: Bounds of the drag and of its torques.
+        coupling: Bounds of the couplings; None: the vehicle hovers.
     """
-    s, t = attitude.tilt, attitude.tangent
-    tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
-    rate_h, rate_z = attitude.rate_h, attitude.rate_z
+    s = attitude.tilt
+    t = attitude.tangent
+    tilt_demand = attitude.tilt_demand
+    yaw_demand = attitude.yaw_demand
+    rate_h = attitude.rate_h
+    rate_z = attitude.rate_z
     turning_h = tilt_demand + s * yaw_demand + attitude.frame_h + ranges.sum_ratio_h * rate_h * rate_z
     turning_z = yaw_demand + s * tilt_demand + attitude.frame_z + ranges.sum_ratio_z * rate_h * rate_h / 2
     m_h = ranges.turn_deviation * turning_h + drag.torque_h
@@ -156,21 +182,23 @@ def torques_without_lag(
     turn = turn_of_plane(attitude, yaw_acceleration=yaw_demand + yaw)  # psi_2 = H_psi + psi.torque
     turn = turn + (1 + s * t) * m_h + t * m_z
     plane = ranges.gravity * turn + coupled_torque(problem, ranges, bounds, attitude, coupling)
-    return {"torque": plane.upper()}, {"torque": yaw}
+    return TurningRemainders(plane={"torque": plane.upper()}, yaw={"torque": yaw})
 
 
 def torques_with_lag(
     problem: VehicleProblem, ranges: Ranges, bounds: SignalBalls, attitude: Attitude, drag: DragBounds, lag: RotorLag
-) -> tuple[Balls, Balls]:
-    """x.torque [m/s^2], x.lag [m/s^3], psi.torque [rad/s^2] and psi.lag [rad/s^3], by channel, with a rotor lag.
+) -> TurningRemainders:
+    """The torques and the remainders of the lag, with a rotor lag.
 
     mu_h and mu_z bound mu, the angular acceleration that the rotors achieve as the inner loops believe. m_h and m_z
     bound how far the body's true one is from it. Each is across and along body z [rad/s^2].
     """
-    s, t = attitude.tilt, attitude.tangent
+    s = attitude.tilt
+    t = attitude.tangent
     g = ranges.gravity
     time_constant = arb(problem["rotor_lag"])
-    rate_h, rate_z = attitude.rate_h, attitude.rate_z
+    rate_h = attitude.rate_h
+    rate_z = attitude.rate_z
     mu_h = (bounds["x"]["gamma"] / g).upper()
     mu_z = bounds["psi"]["gamma"]
     m_h = ranges.turn_deviation * mu_h + drag.torque_h + ranges.ratio_h * rate_h * rate_z + attitude.frame_h
@@ -184,7 +212,10 @@ def torques_with_lag(
     spin_term = arb(problem["torque_coefficient"]) * half_defect / ranges.believed_z  # c_tau n zeta/(2 J_nz)
     plane_lag = lag.moment_h / time_constant + turn_term + arm_term
     yaw_lag = lag.moment_z / time_constant + spin_term
-    return {"torque": (g * turn).upper(), "lag": plane_lag.upper()}, {"torque": yaw, "lag": yaw_lag.upper()}
+    return TurningRemainders(
+        plane={"torque": (g * turn).upper(), "lag": plane_lag.upper()},
+        yaw={"torque": yaw, "lag": yaw_lag.upper()},
+    )
 
 
 def turn_of_plane(attitude: Attitude, yaw_acceleration: arb) -> arb:

@@ -20,7 +20,6 @@ from dssc_jax.proofs.verifier.balls import (
     column,
     identity,
     interval_ball,
-    maximum,
     positive_definite,
     require_premise,
     side_by_side,
@@ -31,7 +30,6 @@ from dssc_jax.proofs.verifier.balls import (
 from dssc_jax.proofs.verifier.impulse_responses import ResponseBounds, response_bounds
 from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.channels import (
-    ALONG_AXES,
     EQUIVALENT,
     Channel,
     SampledChannel,
@@ -39,10 +37,11 @@ from dssc_jax.proofs.verifier.vehicle.channels import (
     first_columns,
     flow,
     forced_response,
-    row_at,
     sampled_channel,
+    signal_within,
+    size_over_axes,
 )
-from dssc_jax.proofs.verifier.vehicle.nominal import channel_flight, start_ratio
+from dssc_jax.proofs.verifier.vehicle.nominal import DrivenChannel, channel_flight, start_ratio
 
 PIECES = 4
 """Number of pieces of a sample; with a rotor lag, of each half of the lag. A straight line stands for f over each."""
@@ -50,8 +49,10 @@ MOST_PIECES = 32
 """Largest number of pieces of a sample."""
 PHASES = (Fraction(1, 8), Fraction(3, 8), Fraction(5, 8), Fraction(7, 8))
 """Times within a sample at which the signals are bounded, over T_s."""
+CONSTANT_PLACE = 3
+"""Place of the constant among the columns of the starts, after e, e' and q_(-1)."""
 FIRST_OFFSET = 4
-"""Place of the first known offset among the columns of the starts, after e, e', q_(-1) and the constant."""
+"""Place of the first known offset among these columns, after the constant."""
 
 
 class SignalResponse(NamedTuple):
@@ -153,7 +154,8 @@ def observe_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> C
     flight = Balls()
     if problem["reference"] is not None:
         phases = [t * phase.numerator / phase.denominator for phase in PHASES]
-        flight, start_offsets = channel_flight(problem, name, proof, channel, sampled, phases)
+        driven_channel = DrivenChannel(name, controller, proof, channel, sampled, t, phases)
+        flight, start_offsets = channel_flight(problem, driven_channel)
         starts = side_by_side(starts, *start_offsets)
         offsets = side_by_side(offsets, arb_mat(len(phase_signals), len(start_offsets)))
     columns = [sampled.by_command, sampled.by_integral]
@@ -203,8 +205,7 @@ def channel_responses(
         raise Rejected(f"V1: the responses of {name} decay too slowly")
     responses: dict[str, list[SignalResponse]] = {}
     for i, phase_signal in enumerate(observation.phase_signals):
-        response = response_of(i, phase_signal, observation.channel, observation.curves, bounds, observation.offsets, t)
-        responses.setdefault(phase_signal.name, []).append(response)
+        responses.setdefault(phase_signal.name, []).append(response_of(i, observation, bounds, t))
     return responses
 
 
@@ -223,8 +224,9 @@ def phase_signals_of(channel: Channel, sampled: SampledChannel, t: arb, share: a
         time = t * phase.numerator / phase.denominator
         transition = flow(channel, time)
         for signal in channel.signals:
-            row, direct = row_at(channel, sampled, signal, transition)
-            phase_signals.append(PhaseSignal(signal, time, row, abs(direct) * both_effects, t * abs(direct)))
+            row, by_fresh = signal_within(channel, sampled, signal, transition)
+            command_effect = abs(by_fresh) * both_effects
+            phase_signals.append(PhaseSignal(signal, time, row, command_effect, integral_effect=t * abs(by_fresh)))
     return [*phase_signals, PhaseSignal(EQUIVALENT, arb(0), sampled.equivalent, abs(t * share), t)]
 
 
@@ -275,6 +277,18 @@ def extended_column(column_block: arb_mat, sampled: SampledChannel) -> arb_mat:
     return stack([column_block, arb_mat(zero_count, 1)])
 
 
+class Starts(NamedTuple):
+    """The states z_0 of some starts, and constants that are added to the responses to them.
+
+    Args:
+        columns: Columns z_0, shape (m, 4).
+        offsets: The constants, shape (phase signals, 4).
+    """
+
+    columns: arb_mat
+    offsets: arb_mat
+
+
 def start_columns(
     channel: Channel,
     sampled: SampledChannel,
@@ -282,8 +296,8 @@ def start_columns(
     start: str,
     t: arb,
     phase_signals: Sequence[PhaseSignal],
-) -> tuple[arb_mat, arb_mat]:
-    """The states z_0 of some starts, and constants that are added to the responses to them.
+) -> Starts:
+    """The starts of a channel without those of a nominal flight.
 
     The starts are e = 1, e' = 1, q_(-1) = 1, and a constant force 1 from t = 0 on. The constant leads to the
     equilibrium z*, so that z_k = z* + A^k (0 - z*). The signal at s has the integral of C e^(A_c r) b up to s besides.
@@ -296,16 +310,15 @@ def start_columns(
         t: T_s [s].
         phase_signals: The signals at their phases.
 
-    Returns:
-        Columns z_0, shape (m, 4), and the constants, shape (phase signals, 4).
-
     Raises:
         Rejected: The equilibrium cannot be enclosed.
     """
     m = sampled.a.nrows()
     ratio = start_ratio(proof, start, t)  # -q_(-1)/sigma_0
     units = identity(m)
-    e, e_dot, q = column(units, 0), column(units, 1), column(units, m - 1)
+    e = column(units, 0)
+    e_dot = column(units, 1)
+    q = column(units, m - 1)
     columns = [
         e - q * (ratio * sampled.sigma[0, 0]),  # sigma_0 = e' + l_0 e sets q_(-1), too
         e_dot - q * (ratio * sampled.sigma[0, 1]),
@@ -314,41 +327,31 @@ def start_columns(
     offsets = arb_mat(len(phase_signals), 4)
     b = channel.constant
     if b is None:
-        return side_by_side(*columns, arb_mat(m, 1)), offsets
+        return Starts(side_by_side(*columns, arb_mat(m, 1)), offsets)
     try:
         equilibrium = (units - sampled.a).solve(extended_column(forced_response(channel, b, t), sampled))
     except ZeroDivisionError:
         raise Rejected("V1: the response to the constant cannot be enclosed") from None
-    constant_place = 3
     for i, phase_signal in enumerate(phase_signals):
         offset = (phase_signal.row * equilibrium)[0, 0]
         if phase_signal.name != EQUIVALENT:
             row = first_columns(channel.signals[phase_signal.name], channel.order)  # C
             offset = offset + (row * forced_response(channel, b, phase_signal.time))[0, 0]
-        offsets[i, constant_place] = offset
-    return side_by_side(*columns, -equilibrium), offsets
+        offsets[i, CONSTANT_PLACE] = offset
+    return Starts(side_by_side(*columns, -equilibrium), offsets)
 
 
-def response_of(
-    i: int,
-    phase_signal: PhaseSignal,
-    channel: Channel,
-    curves: dict[str, CurvedColumn],
-    bounds: ResponseBounds,
-    offsets: arb_mat,
-    t: arb,
-) -> SignalResponse:
+def response_of(i: int, observation: ChannelObservation, bounds: ResponseBounds, t: arb) -> SignalResponse:
     """The response of one signal at one phase, from the sums and peaks of the responses of its row.
 
     Args:
         i: Number of the signal's row.
-        phase_signal: The signal at its phase.
-        channel: The linear channel.
-        curves: The columns of the remainders within a sample.
+        observation: The channel's signals and inputs at the samples.
         bounds: Sums and peaks of the responses.
-        offsets: Constants that are added to the responses to the starts.
         t: T_s [s].
     """
+    phase_signal = observation.phase_signals[i]
+    curves = observation.curves
     command, integral, *sums = [arb(float(value)) for value in bounds.sums[i]]  # of the columns of ``inputs``
     pieces = next(iter(curves.values())).pieces  # the same for all remainders
     columns_of_curve = pieces + 2  # the points, and the middle of the bend
@@ -360,26 +363,17 @@ def response_of(
         lines = piece * ((start + end) / 2 + total(inner))
         curvature = middle + total([radius * unit for radius, unit in zip(curve.radii, units, strict=True)])
         later_effect = lines + pieces * piece**3 / 12 * curvature
-        remainders[name] = (later_effect + integral_within(channel, phase_signal, curve)).upper()
+        remainders[name] = (later_effect + integral_within(observation.channel, phase_signal, curve)).upper()
     e, e_dot, q, constant, *start_offsets = [arb(float(value)) for value in bounds.peaks[i]]
     return SignalResponse(
         command=(command + phase_signal.command_effect).upper(),
         integral=(integral + phase_signal.integral_effect).upper(),
         remainders=remainders,
         constant=constant,
-        settled_constant=abs(offsets[i, 3]).upper(),  # at the constant's equilibrium
+        settled_constant=abs(observation.offsets[i, CONSTANT_PLACE]).upper(),  # at the constant's equilibrium
         starts=(e, e_dot, q),
         start_offset=size_over_axes(phase_signal.name, start_offsets),
     )
-
-
-def size_over_axes(signal: str, axes: Sequence[arb]) -> arb:
-    """A bound of a signal from bounds along each axis: the larger one, or the norm where the signal is a vector."""
-    if not axes:
-        return arb(0)
-    if len(axes) == 1 or signal in ALONG_AXES:
-        return maximum(*axes)
-    return total([size * size for size in axes]).sqrt().upper()
 
 
 def integral_within(channel: Channel, phase_signal: PhaseSignal, curve: CurvedColumn) -> arb:

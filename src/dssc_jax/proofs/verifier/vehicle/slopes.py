@@ -36,78 +36,85 @@ def signal_slopes(
     return {signal: slope.upper() for signal, slope in slopes.items()}
 
 
-def plane_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], remainders: Balls) -> Balls:
+def plane_slopes(problem: VehicleProblem, damping: arb, bounds: Mapping[str, arb], remainders: Balls) -> Balls:
     """Bounds of the derivatives of the signals of x and y, by name.
 
     Args:
         problem: The certificate's problem.
         damping: Damping of drag c in the linear channel [1/s].
-        y: Bounds of the signals, by name.
+        bounds: Bounds of the signals, by name.
         remainders: Bounds of the remainders, by name.
     """
     l0 = arb(problem["channels"]["x"]["l0"])
     stiffness = arb(problem["stiffness"])
     lagging = problem["rotor_lag"] > 0
-    e_dot = y["acceleration"] + remainders["force"]
-    alpha_dot = (y["gamma"] if lagging else y["turn"]) + remainders["torque"]
-    demand = arb(problem["velocity_gain"]) * e_dot
-    turn = stiffness * (demand + y["alpha_dot"]) + arb(problem["damping"]) * alpha_dot
+    e_dot_slope = bounds["acceleration"] + remainders["force"]
+    alpha_dot_slope = (bounds["gamma"] if lagging else bounds["turn"]) + remainders["torque"]
+    demand_slope = arb(problem["velocity_gain"]) * e_dot_slope
+    turn_slope = stiffness * (demand_slope + bounds["alpha_dot"]) + arb(problem["damping"]) * alpha_dot_slope
     slopes = {
-        "e": y["e_dot"],
-        "e_dot": e_dot,
-        "speed": e_dot,
-        "alpha": y["alpha_dot"],
-        "alpha_dot": alpha_dot,
-        "sigma": y["bend"] + remainders["force"],
-        "wanted": demand,
-        "turn": turn,
-        "acceleration": y["alpha_dot"] + damping * e_dot,
-        "bend": y["alpha_dot"] + abs(l0 - damping) * e_dot,
+        "e": bounds["e_dot"],
+        "e_dot": e_dot_slope,
+        "speed": e_dot_slope,
+        "alpha": bounds["alpha_dot"],
+        "alpha_dot": alpha_dot_slope,
+        "sigma": bounds["bend"] + remainders["force"],
+        "wanted": demand_slope,
+        "turn": turn_slope,
+        "acceleration": bounds["alpha_dot"] + damping * e_dot_slope,
+        "bend": bounds["alpha_dot"] + abs(l0 - damping) * e_dot_slope,
     }
     if lagging:
-        slopes["gamma"] = y["behind"] / arb(problem["rotor_lag"]) + remainders["lag"]
-        slopes["behind"] = turn + slopes["gamma"]
+        slopes["gamma"] = bounds["behind"] / arb(problem["rotor_lag"]) + remainders["lag"]
+        slopes["behind"] = turn_slope + slopes["gamma"]
     return slopes
 
 
 def vertical_slopes(
-    problem: VehicleProblem, damping: arb, y: Mapping[str, arb], remainders: Balls, constant: arb
+    problem: VehicleProblem, damping: arb, bounds: Mapping[str, arb], remainders: Balls, constant: arb
 ) -> Balls:
     """Bounds of the derivatives of the signals of z, by name.
 
     Args:
         problem: The certificate's problem.
         damping: Damping of drag c in the linear channel [1/s].
-        y: Bounds of the signals, by name.
+        bounds: Bounds of the signals, by name.
         remainders: Bounds of the remainders, by name.
         constant: Bound of the constant o of the channel.
     """
     l0 = arb(problem["channels"]["z"]["l0"])
-    e_dot = y["acceleration"] + remainders["force"] + constant
-    demand = arb(problem["velocity_gain"]) * e_dot
-    lift = demand  # without a rotor lag the lift is the wanted acceleration
-    slopes = {"e": y["e_dot"], "e_dot": e_dot, "sigma": y["bend"] + remainders["force"] + constant, "wanted": demand}
+    e_dot_slope = bounds["acceleration"] + remainders["force"] + constant
+    demand_slope = arb(problem["velocity_gain"]) * e_dot_slope
+    lift_slope = demand_slope  # without a rotor lag the lift is the wanted acceleration
+    slopes = {
+        "e": bounds["e_dot"],
+        "e_dot": e_dot_slope,
+        "sigma": bounds["bend"] + remainders["force"] + constant,
+        "wanted": demand_slope,
+    }
     if problem["rotor_lag"] > 0:
-        lift = y["behind"] / arb(problem["rotor_lag"]) + remainders["lag"]
-        slopes |= {"lift": lift, "behind": demand + lift}
-    return slopes | {"acceleration": damping * e_dot + lift, "bend": abs(l0 - damping) * e_dot + lift}
+        lift_slope = bounds["behind"] / arb(problem["rotor_lag"]) + remainders["lag"]
+        slopes |= {"lift": lift_slope, "behind": demand_slope + lift_slope}
+    slopes["acceleration"] = damping * e_dot_slope + lift_slope
+    slopes["bend"] = abs(l0 - damping) * e_dot_slope + lift_slope
+    return slopes
 
 
-def yaw_slopes(problem: VehicleProblem, y: Mapping[str, arb], remainders: Balls) -> Balls:
+def yaw_slopes(problem: VehicleProblem, bounds: Mapping[str, arb], remainders: Balls) -> Balls:
     """Bounds of the derivatives of the signals of psi, by name; the arguments are those of :func:`plane_slopes`."""
     l0 = arb(problem["channels"]["psi"]["l0"])
     lagging = problem["rotor_lag"] > 0
-    e_dot = (y["gamma"] if lagging else y["wanted"]) + remainders["torque"]
-    demand = arb(problem["yaw_gain"]) * e_dot + arb(problem["yaw_integral_gain"]) * y["follow"]
+    e_dot_slope = (bounds["gamma"] if lagging else bounds["wanted"]) + remainders["torque"]
+    demand_slope = arb(problem["yaw_gain"]) * e_dot_slope + arb(problem["yaw_integral_gain"]) * bounds["follow"]
     slopes = {
-        "e": y["e_dot"],
-        "e_dot": e_dot,
-        "sigma": y["bend"] + remainders["torque"],
-        "wanted": demand,
-        "follow": e_dot,
-        "bend": demand + l0 * e_dot,
+        "e": bounds["e_dot"],
+        "e_dot": e_dot_slope,
+        "sigma": bounds["bend"] + remainders["torque"],
+        "wanted": demand_slope,
+        "follow": e_dot_slope,
+        "bend": demand_slope + l0 * e_dot_slope,
     }
     if lagging:
-        gamma = y["behind"] / arb(problem["rotor_lag"]) + remainders["lag"]
-        slopes |= {"gamma": gamma, "behind": demand + gamma, "bend": gamma + l0 * e_dot}
+        gamma_slope = bounds["behind"] / arb(problem["rotor_lag"]) + remainders["lag"]
+        slopes |= {"gamma": gamma_slope, "behind": demand_slope + gamma_slope, "bend": gamma_slope + l0 * e_dot_slope}
     return slopes

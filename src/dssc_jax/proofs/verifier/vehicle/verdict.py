@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from flint import arb
 
-from dssc_jax.proofs.verifier.balls import ENTERED, Rejected, maximum, require_premise
+from dssc_jax.proofs.verifier.balls import ENTERED, Rejected, maximum, minimum, require_premise
 from dssc_jax.proofs.verifier.vehicle.cell_bounds import (
     bounds_in_cells,
     cell_place,
@@ -195,7 +195,7 @@ def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inp
     functions = inputs.deviations[name]
     slope = sigma_slope(name, bounds, inputs)  # S'
     integral_rate = functions.k_i * y["sigma"]  # K_I Y[sigma]
-    level = maximum((y["u_av"] + functions.d_1).upper(), (t / 2 * functions.k_i * y["sigma"]).upper())  # V_a
+    level = maximum((y["u_av"] + functions.phi_1_distance).upper(), (t / 2 * functions.k_i * y["sigma"]).upper())  # V_a
     equivalent = level + (t + functions.tau_av) * (functions.k_p * slope + integral_rate)
     require_premise(bool(equivalent <= rho), f"V5: the equivalent control of {name} may exceed rho")
     if controller["start"] == "zero":
@@ -247,24 +247,36 @@ def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
     """
     enter_factor = arb(ENTERED)
     for _ in range(MOST_ITERATIONS):
-        wider = {name: {signal: (y * enter_factor).upper() for signal, y in bounds[name].items()} for name in CHANNELS}
+        wider = {}
+        for name in CHANNELS:
+            wider[name] = {signal: (y * enter_factor).upper() for signal, y in bounds[name].items()}
         try:
             inputs = inputs_under(vehicle, wider, deviations_under(vehicle, wider))
             implied = implied_bounds(vehicle, wider, inputs, from_start=False)
         except Rejected:  # the bounds satisfy the premises, but 1.0001 times them need not
             return bounds
-        next_bounds = {}
-        falls = False
-        for name in CHANNELS:
-            next_bounds[name] = {}
-            for signal, bound in bounds[name].items():
-                value = implied[name][signal]
-                falls = falls or bool(value < bound * (1 - arb(LEAST_FALL)))
-                next_bounds[name][signal] = value if value < bound else bound
-        bounds = next_bounds
-        if not falls:
+        has_fallen = any_falls(bounds, implied)
+        bounds = smaller_bounds(bounds, implied)
+        if not has_fallen:
             break
     return bounds
+
+
+def any_falls(bounds: SignalBalls, implied: SignalBalls) -> bool:
+    """Whether an implied bound is below the bound by more than the share ``LEAST_FALL``."""
+    for name in CHANNELS:
+        for signal, bound in bounds[name].items():
+            if implied[name][signal] < bound * (1 - arb(LEAST_FALL)):
+                return True
+    return False
+
+
+def smaller_bounds(bounds: SignalBalls, implied: SignalBalls) -> SignalBalls:
+    """The smaller one of the bound and the implied bound of each signal, by channel and signal."""
+    smaller = {}
+    for name in CHANNELS:
+        smaller[name] = {signal: minimum(implied[name][signal], bound) for signal, bound in bounds[name].items()}
+    return smaller
 
 
 def rounded_up(bounds: SignalBalls) -> FloatBounds:

@@ -14,12 +14,13 @@ Waves = Mapping[Fraction, acb]
 """Phasor of each frequency [Hz], which is not negative; a constant has the frequency 0 and a real phasor."""
 
 
-def sum_of_sines(parts: Sequence[tuple[Fraction, acb]]) -> dict[Fraction, acb]:
-    """Add up single sines, each given by its frequency [Hz], which may be negative, and its phasor."""
+def sum_of_sines(sines: Sequence[tuple[Fraction, acb]]) -> dict[Fraction, acb]:
+    """Add up single sines, each with its frequency [Hz], which may be negative, and its phasor."""
     result: dict[Fraction, acb] = {}
-    for frequency, phasor in parts:
+    for frequency, phasor in sines:
         if frequency < 0:  # Re(c e^(-i w t)) is Re(conj(c) e^(i w t))
-            frequency, phasor = -frequency, phasor.conjugate()
+            frequency = -frequency
+            phasor = phasor.conjugate()
         elif frequency == 0:
             phasor = acb(phasor.real)
         result[frequency] = result.get(frequency, acb(0)) + phasor
@@ -27,24 +28,27 @@ def sum_of_sines(parts: Sequence[tuple[Fraction, acb]]) -> dict[Fraction, acb]:
 
 
 def sine_wave(sine: Sequence[float]) -> Waves:
-    """The sine amplitude sin(2 pi t/period + phase) of a certificate's reference.
+    """The sine amplitude sin(2 pi t/period + phase) of a certificate's reference, as a sum of one sine.
 
     Args:
         sine: Amplitude [m, rad], period [s] and phase [rad].
     """
     amplitude, period, phase = sine
-    size, angle = arb(amplitude), arb(phase)
-    return {1 / Fraction(period): acb(size * angle.sin(), -size * angle.cos())}
+    frequency = 1 / Fraction(period)
+    size = arb(amplitude)
+    angle = arb(phase)
+    phasor = acb(size * angle.sin(), -size * angle.cos())
+    return {frequency: phasor}
 
 
-def angular(frequency: Fraction) -> arb:
+def angular_frequency(frequency: Fraction) -> arb:
     """The angular frequency [rad/s] that belongs to a frequency [Hz]."""
     return 2 * arb.pi() * arb(fmpq(frequency.numerator, frequency.denominator))
 
 
-def rate(waves: Waves) -> Waves:
+def derivative(waves: Waves) -> Waves:
     """The derivative of a sum of sines in time."""
-    return {frequency: phasor * acb(0, angular(frequency)) for frequency, phasor in waves.items()}
+    return {frequency: phasor * acb(0, angular_frequency(frequency)) for frequency, phasor in waves.items()}
 
 
 def multiple(waves: Waves, factor: arb) -> Waves:
@@ -52,26 +56,26 @@ def multiple(waves: Waves, factor: arb) -> Waves:
     return {frequency: phasor * factor for frequency, phasor in waves.items()}
 
 
-def sum_of(*sums: Waves) -> Waves:
+def wave_sum(*sums: Waves) -> Waves:
     """The sum of several sums of sines."""
-    return sum_of_sines([part for waves in sums for part in waves.items()])
+    return sum_of_sines([sine for waves in sums for sine in waves.items()])
 
 
-def times(left: Waves, right: Waves) -> Waves:
+def product(left: Waves, right: Waves) -> Waves:
     """The product of two sums of sines: sines of the sums and of the differences of the frequencies."""
-    parts = []
-    for f, a in left.items():
-        for h, b in right.items():
-            parts.append((f + h, a * b / 2))
-            parts.append((f - h, a * b.conjugate() / 2))
-    return sum_of_sines(parts)
+    sines = []
+    for left_frequency, a in left.items():
+        for right_frequency, b in right.items():
+            sines.append((left_frequency + right_frequency, a * b / 2))
+            sines.append((left_frequency - right_frequency, a * b.conjugate() / 2))
+    return sum_of_sines(sines)
 
 
-def largest(waves: Waves) -> arb:
+def largest_magnitude(waves: Waves) -> arb:
     """A bound of the magnitude of a sum of sines at all times: the sum of the amplitudes."""
     return total([abs(phasor).upper() for phasor in waves.values()]).upper()
 
 
-def at_start(waves: Waves) -> arb:
+def value_at_start(waves: Waves) -> arb:
     """The value of a sum of sines at t = 0."""
     return total([phasor.real for phasor in waves.values()])
