@@ -1,6 +1,5 @@
 """Linked figures over the draws of a result in Bokeh; a script in the browser brushes draws in all of them."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,16 +41,11 @@ AXIS_NAMES = ("x", "y")
 """Axes of the scatter; there is a histogram for each."""
 
 
-def draw_source(table: DrawTable, axis_columns: Mapping[str, str]) -> ColumnDataSource:
-    """Make the data source of the draws: their columns, whether they failed, their indices, and the scatter's axes.
-
-    Args:
-        table: The draws.
-        axis_columns: Name of the column on each axis of the scatter.
-    """
+def draw_source(table: DrawTable) -> ColumnDataSource:
+    """Make the data source of the draws: their columns, whether they failed, their indices, and the scatter's axes."""
     columns = {name: values.astype(np.float32) for name, values in table.columns.items()}
     data = {**columns, "failed": table.failed.astype(np.uint8), "draw": table.draw.astype(np.int32)}
-    for axis, name in axis_columns.items():
+    for axis, name in zip(AXIS_NAMES, table.first_axes, strict=True):
         data[axis] = columns[name]
     return ColumnDataSource(data, name="draws")
 
@@ -70,7 +64,7 @@ class Brushing:
         """Fill the data sources, and make all figures and widgets; no draw is brushed yet."""
         self.table = table
         axis_columns = dict(zip(AXIS_NAMES, table.first_axes, strict=True))
-        self.source = draw_source(table, axis_columns)
+        self.source = draw_source(table)
         self.clicked_row = ColumnDataSource({"row": []})
         self.summary = Div(text=self.statement(), disable_math=True, width=TABLE_WIDTH, styles={"font-size": "18px"})
         self.command = Div(text="a click on a draw gives its command", disable_math=True, width=TABLE_WIDTH)

@@ -73,7 +73,9 @@ def sections_of(name: str, table: Mapping[str, object]) -> list[str]:
     sections = [section for section, model in FIXED_TABLES.items() if name in model.model_fields]
     for slot, registry in REGISTRIES.items():
         part = table.get(slot)
-        kind = part.get("kind") if isinstance(part, Mapping) else None
+        if not isinstance(part, Mapping):
+            continue
+        kind = part.get("kind")
         if isinstance(kind, str) and kind in registry:
             sections += [section for section, field in places_in(registry[kind], slot, part) if field == name]
     places = [TOP] if name in StudyTable.model_fields else []

@@ -28,7 +28,7 @@ def run(options: Margin) -> int:
     study = with_own_controllers(study, names)
     kind = "margin" if options.controllers is None else "margins"
     folder = free_folder(
-        study, kind, options.out, options.settings, options.draws, options.seed, name=f"{kind}-{walk.name}"
+        study, kind, options.out, options.settings, options.draws, options.seed, ending=f"{kind}-{walk.name}"
     )
     settings = {"bounds": walk.bounds, "log": options.log, "points": options.points, "bisections": options.bisections}
     progress = progress_bar(study, quiet=options.as_json, unit="simulations", early=EARLY)

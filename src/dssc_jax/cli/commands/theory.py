@@ -24,7 +24,7 @@ def run(options: Theory) -> int:
     walk = parse_walk(options.over)
     study = study_of(options).without_sweep()
     folder = free_folder(
-        study, "theory", options.out, options.settings, options.draws, options.seed, name=f"theory-{walk.name}"
+        study, "theory", options.out, options.settings, options.draws, options.seed, ending=f"theory-{walk.name}"
     )
     rivals = switching_rivals(study)
     with progress_bar(study, quiet=options.as_json, unit="simulations", early=EARLY) as advance:
