@@ -63,7 +63,7 @@ class Brushing:
     def __init__(self, table: DrawTable, folder: str) -> None:
         """Fill the data sources, and make all figures and widgets; no draw is brushed yet."""
         self.table = table
-        axis_columns = dict(zip(AXIS_NAMES, table.first_axes, strict=True))
+        axis_columns: dict[str, str] = dict(zip(AXIS_NAMES, table.first_axes, strict=True))
         self.source = draw_source(table)
         self.clicked_row = ColumnDataSource({"row": []})
         self.summary = Div(text=self.statement(), disable_math=True, width=TABLE_WIDTH, styles={"font-size": "18px"})
