@@ -17,6 +17,7 @@ WarningCode: TypeAlias = Literal[
     "command-offset",
     "command-spikes",
     "copied-column",
+    "correlated-residual",
     "damaged-log",
     "delayed-command",
     "delayed-output",

@@ -10,6 +10,7 @@ import dssc_jax as dj
 from benchmarks.flight_fit import CASES, LEVEL, covered, flight_study, inside
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.fit.estimates import correlation_doubts
 from dssc_jax.flight_logs.fit.fit import fit_log
 from dssc_jax.flight_logs.fit.minima import unseen_minima
 from dssc_jax.flight_logs.fit.refusals import NotIdentifiable, Unexplained, noise_between_neighbours
@@ -91,6 +92,12 @@ def test_coloured_noise_widens_the_intervals(noisy):
     assert 0.1 < noise.time < 1.5  # 0.39 s
     assert (fitted.deviations != white.deviations).all()
     assert (np.abs(fitted.estimates - [1.1, 0.8]) < 4.0 * fitted.deviations).all()
+    assert white.doubts == ()
+    assert [doubt.code for doubt in fitted.doubts] == ["large-residual"]
+    small = fit_log(linear(), log_of(output(1.1, 0.8, u) + 0.01 * random.normal(size=400) + 0.7 * coloured, u))
+    assert [doubt.code for doubt in small.doubts] == ["correlated-residual"]
+    gust = {"kind": "filtered_noise", "std": 0.2, "correlation_time": 0.5}
+    assert correlation_doubts(linear(disturbance=gust), small.noise) == ()  # the study expects it
 
 
 def test_intervals_cover_the_truth():

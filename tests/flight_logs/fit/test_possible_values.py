@@ -48,6 +48,15 @@ def test_the_unit_of_a_command(factor, unit, words):
     assert bool(words) == bool(text)
 
 
+def test_a_multiple_with_an_offset():
+    """The thrust as a share of 40 N, with that of the hover: u = (u_total + 19.6)/40."""
+    text = command_unit((command() + 19.6) / 40.0, command(), "N")
+    assert text.startswith("is 0.025 times what the analysed controller gives")
+    assert ", plus 0.49: " in text
+    assert "a scale of 40 with an offset of -19.6 in the table of columns" in text
+    assert command_unit(1.3 * command() + 19.6, command(), "N") == ""  # other gains, and another start of the integral
+
+
 @pytest.fixture(scope="module")
 def flight():
     """A command of 1 N or so, and the output of known numbers with 1 cm of noise."""

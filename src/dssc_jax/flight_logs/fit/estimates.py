@@ -2,6 +2,7 @@
 
 import copy
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
@@ -11,8 +12,10 @@ from scipy import special
 from dssc_jax.core.json_types import Json
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.flight_logs.fit.least_squares import fit_scale, from_fit_scale
+from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refusals import Explained
 from dssc_jax.flight_logs.hints.conversions import factor_text
+from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import correlation_time
 from dssc_jax.statistics.noise_posterior import NoisePosterior
@@ -22,6 +25,7 @@ from dssc_jax.study.tables import PARAMETERS, enclosing_list, has_dotted, set_do
 BOUND_MARGIN = 1e-6  # share of the distance from an exclusive bound by which a law stays inside
 LAW_WIDTH = 5.0  # standard deviations at which a bounded number's law is truncated
 WITHOUT_SCALE = ("1", "s", "1/s", "samples")  # units of numbers that no other unit of an output or command changes
+LEAST_WHITE = 1e-3  # probability that a residual is white, below which its correlation is reported
 OUTSIDE_LAW = (
     3.0  # standard deviations of an estimate beyond the middle 99.8 % of its law, from which it is reported as outside
 )
@@ -53,6 +57,30 @@ class ResidualNoise(NamedTuple):
             "correlated_share": self.share,
             "correlation_time": self.time,
         }
+
+
+def correlation_doubts(study: Study, noise: Mapping[str, ResidualNoise]) -> tuple[SignalWarning, ...]:
+    """The doubts about residuals that are hardly white, where the study has nothing random but its sensors' noise.
+
+    Args:
+        study: The study.
+        noise: The noise of the residual by channel.
+    """
+    if declares_noise(study):
+        return ()
+    warnings = []
+    for channel, residual in noise.items():
+        if residual.white >= LEAST_WHITE:
+            continue
+        name = signal_name(channel, "y")
+        text = (
+            f"the residual of {name} is correlated, over {residual.time:.3g} s: it is white with a probability of "
+            f"{residual.white:.1g}, and the study has no random disturbance. If an estimator or a filter made {name}, "
+            "or gusts moved the vehicle, the intervals count it. If the study lacks a force or a lag, such as drag "
+            "that grows with the square of the speed, estimates may be wrong by several intervals"
+        )
+        warnings.append(SignalWarning(name, "correlated-residual", text))
+    return tuple(warnings)
 
 
 class RivalMinimum(NamedTuple):

@@ -28,7 +28,7 @@ from dssc_jax.flight_logs.fit.command_gaps import (
     with_commands,
 )
 from dssc_jax.flight_logs.fit.declared_noise import declared_covariance, larger_covariance
-from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinimum
+from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinimum, correlation_doubts
 from dssc_jax.flight_logs.fit.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.fit.fitted_numbers import insensitive_numbers, numbers_to_fit, require_stated_times
 from dssc_jax.flight_logs.fit.freed_commands import freed_commands
@@ -316,17 +316,25 @@ def fitted_minimum(
             doubts_of_start, parts = doubts_of_speed, NO_DOUBTS
     with_outliers = {doubt.signal for doubt in doubts_of_outliers}
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
-    rivals = []
-    for rival in search.rivals:
-        ratio = math.sqrt(rival.cost / max(search.best.cost, TINY))
-        rivals.append(RivalMinimum(rival.starts, problem.named_values(rival.x), ratio))
+    noise_by_channel = dict(zip(channels, noises, strict=True))
+    doubts_of_residuals = (
+        *doubts(problem, x, results),
+        *doubts_of_start,
+        *doubts_of_outliers,
+        *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
+        *doubts_of_delays,
+        *parts.warnings,
+        *held_doubts(problem.log),
+        *freed_doubts(problem.log),
+        *doubts_of_commands,
+    )
     return Fitted(
         study=study,
         names=tuple(fitted_names),
         estimates=problem.values(x)[fitted],
         scaled=problem.scaled(x)[fitted],
         covariance=covariance * np.outer(problem.widths[fitted], problem.widths[fitted]),
-        noise=dict(zip(channels, noises, strict=True)),
+        noise=noise_by_channel,
         unidentified=unidentified_widths,
         samples=sum(len(readings.values) for readings in problem.readings),
         simulated=problem.log.outputs.shape[1],
@@ -335,21 +343,23 @@ def fitted_minimum(
         replayed=problem.log.replayed,
         starts=search.starts,
         starts_here=search.best.starts,
-        rivals=tuple(rivals),
+        rivals=rival_minima(problem, search),
         simulations=problem.count.simulations,
         cut=problem.count.reason,
         stopped=problem.count.is_stopped,
         doubts=(
-            *doubts(problem, x, results),
-            *doubts_of_start,
-            *doubts_of_outliers,
-            *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
-            *doubts_of_delays,
-            *parts.warnings,
-            *held_doubts(problem.log),
-            *freed_doubts(problem.log),
-            *doubts_of_commands,
+            *doubts_of_residuals,
+            *(() if doubts_of_residuals else correlation_doubts(study, noise_by_channel)),
             *wind_doubts(study),
             *roughness_doubts(rough),
         ),
     )
+
+
+def rival_minima(problem: FitProblem, search: MinimumSearch) -> tuple[RivalMinimum, ...]:
+    """The minima of a search that are not its best one."""
+    rivals = []
+    for rival in search.rivals:
+        ratio = math.sqrt(rival.cost / max(search.best.cost, TINY))
+        rivals.append(RivalMinimum(rival.starts, problem.named_values(rival.x), ratio))
+    return tuple(rivals)

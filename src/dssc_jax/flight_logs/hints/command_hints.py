@@ -73,7 +73,7 @@ def command_unit(logged: np.ndarray, replayed: np.ndarray, unit: str) -> str:
     """The unit or sign of a logged command that is certainly not the study's, in words; empty if none is certain.
 
     It is the analysed controller's command, to noise, in another unit that is known, or at all times a multiple of it
-    that no other gains give: a negative or a large one.
+    that no other gains give: a negative or a large one. The multiple may have an offset, such as the thrust at hover.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
@@ -84,11 +84,22 @@ def command_unit(logged: np.ndarray, replayed: np.ndarray, unit: str) -> str:
     if text:
         return f"is the analysed controller's {text}"
     factor = multiple_of(logged, replayed)
+    offset = 0.0
+    if factor == 1.0:
+        has_both = np.isfinite(logged) & np.isfinite(replayed)
+        if np.count_nonzero(has_both) < LEAST_VALUES:
+            return ""
+        logged_mean = float(np.mean(logged[has_both]))
+        replayed_mean = float(np.mean(replayed[has_both]))
+        factor = multiple_of(logged - logged_mean, replayed - replayed_mean)
+        offset = logged_mean - factor * replayed_mean
     if 1.0 / LARGE_FACTOR < factor < LARGE_FACTOR:
         return ""
+    addition = f", plus {offset:.4g}" if offset else ""
+    remedy = f"a scale of {1.0 / factor:.4g}" + (f" with an offset of {-offset / factor:.4g}" if offset else "")
     return (
-        f"is {factor:.4g} times what the analysed controller gives for the logged measurements, at all times: it is in "
-        f"another unit than the study's, {unit}, and a scale of {1.0 / factor:.4g} in the table of columns mends it"
+        f"is {factor:.4g} times what the analysed controller gives for the logged measurements, at all times"
+        f"{addition}: it is in another unit than the study's, {unit}, and {remedy} in the table of columns mends it"
     )
 
 
