@@ -103,3 +103,39 @@ def test_a_reference_without_values_in_the_flight_says_nothing():
         study=SimpleNamespace(loop=SimpleNamespace(channels=("",))),
     )
     assert list(errors_as_outputs(problem, 0)) == []
+
+
+def flight_in_wind(wind, begin):
+    """A log of x'' = (u + d - x')/0.2 with a constant d from a sample on, where u is 0.95 (y_ref - y)."""
+    random = np.random.default_rng(4)
+    y_ref = 2.0 * (np.arange(750) % 500 >= 250)
+    decay = np.exp(-DT / 0.2)
+    x, v = 0.0, 0.0
+    rows = []
+    for sample, reference in enumerate(y_ref):
+        y, y_dot = x + 0.01 * random.normal(), v + 0.02 * random.normal()
+        u = 0.95 * (reference - y)
+        rows.append((y, y_dot, reference, u))
+        end = u + wind * (sample >= begin)
+        x += DT * end + 0.2 * (1.0 - decay) * (v - end)
+        v = end + decay * (v - end)
+    signals = dict(zip(("y", "y_dot", "y_ref", "u_total"), np.transpose(rows), strict=True))
+    return FlightLog("flight", {name: Column(DT * np.arange(750), row) for name, row in signals.items()}, 0.0)
+
+
+def test_a_command_that_the_controller_gives_clears_the_columns():
+    """A measured velocity in place of the command describes this flight, but the wind that begins in it does, too."""
+    lag = {"uniform": [0.1, 0.6]}
+    study = dj.Study.from_table(
+        {
+            "name": "velocity_commands",
+            "loop": {"duration": 15.0, "sample_time": DT},
+            "parameters": {"lag": lag},
+            "plant": {"kind": "normal_form", "k_p": "=1/lag", "a_p": "=1/lag"},
+            "reference": {"kind": "pulses", "size": 2.0, "period": 10.0, "width": 5.0, "at": 5.0},
+            "controller": {"kind": "pid", "k_p": 0.95},
+        }
+    )
+    with pytest.raises(Unexplained, match=r"that begins at 7 s of the study, which the study lacks") as refusal:
+        fit_log(study, flight_in_wind(0.4, 350))
+    assert "exchanged" not in str(refusal.value)

@@ -1,20 +1,26 @@
 """Whether a flight is described by other columns than those that were given: an error in place of y, or exchanged ones.
 
 Each hypothesis is the same log with other outputs and commands, which is fitted once more. It is told where the study
-then describes nearly all of the outputs, and described little of them as they were given.
+then describes nearly all of the outputs, and described little of them as they were given. None is tried that
+contradicts the analysed controller: where this gives the logged command for the logged outputs, both columns are right.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.channel_replay import ChannelReplay
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.refits import Refit, refit
 from dssc_jax.flight_logs.fit.sampled_log import SampledLog
 from dssc_jax.flight_logs.hints.conversions import FEWER
+from dssc_jax.flight_logs.hints.references import study_references
+from dssc_jax.flight_logs.hints.replayed_columns import DESCRIBED as SAME_COMMAND
+from dssc_jax.flight_logs.hints.replayed_columns import command_share
 from dssc_jax.flight_logs.reading.reader import forward_filled, signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
@@ -38,6 +44,46 @@ class OtherColumns(NamedTuple):
     log: SampledLog
 
 
+class ReplayedChannels:
+    """The analysed controllers with the logged signals of their channels.
+
+    Args:
+        problem: The least-squares problem of the log.
+    """
+
+    def __init__(self, problem: FitProblem) -> None:
+        self.log = problem.log
+        references = study_references(problem.study, problem.log.outputs.shape[1])
+        self.replays = [ChannelReplay(problem.study, *row) for row in enumerate(references)]
+        self.shares: dict[int, float] = {}  # with the logged columns, by channel
+
+    def refute(self, columns: OtherColumns) -> bool:
+        """Whether a channel's controller gives the logged command, and gives it less well with other columns."""
+        for channel in columns.channels:
+            if channel not in self.shares:
+                self.shares[channel] = self.share(channel, self.log.signals[channel])
+            share = self.shares[channel]
+            if share > SAME_COMMAND:
+                continue
+            replaced = {"y": columns.log.outputs[channel], "u_total": columns.log.commands[channel]}
+            if self.share(channel, {**self.log.signals[channel], **replaced}) > share:
+                return True
+        return False
+
+    def share(self, channel: int, signals: Mapping[str, np.ndarray]) -> float:
+        """The difference of a replayed command from that among signals, as a share of what this varies.
+
+        Infinite where the controller cannot be replayed.
+        """
+        if "u_total" not in signals:
+            return np.inf
+        try:
+            command = self.replays[channel].command(signals)
+        except ConfigError:
+            return np.inf
+        return np.inf if isinstance(command, str) else command_share(signals["u_total"], command)
+
+
 def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
     """The doubt about columns of outputs and commands, if others describe the flight far better, with the remedy.
 
@@ -52,7 +98,8 @@ def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning,
     logged = Refit(problem, minimum)
     if problem.count.reason:  # wrong columns use up the simulations: those given are minimised as far as others are
         logged = refit(problem, minimum, problem.log)
-    candidates = list(other_columns(problem))
+    replays = ReplayedChannels(problem)
+    candidates = [candidate for candidate in other_columns(problem) if not replays.refute(candidate)]
     for is_same_command in (True, False):
         chosen = []
         for candidate in candidates:
