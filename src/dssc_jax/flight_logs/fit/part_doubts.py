@@ -102,6 +102,11 @@ def part_causes(
     return PartCauses(best, rivals, best.gain > delay_gain + NEARLY)
 
 
+def is_plausible(fit: PartFit, result: Explained) -> bool:
+    """Whether a part may be what the study lacks: one of many choices resembles others, and must leave noise alone."""
+    return fit.part.choices == 1 or fit.residual <= MUCH_LARGER * result.limit
+
+
 def part_doubts(
     problem: FitProblem, minimum: Minimum, deviations: np.ndarray, result: Explained, has_delay: bool
 ) -> PartDoubts:
@@ -119,7 +124,7 @@ def part_doubts(
 
     def matters(fit: PartFit) -> bool:
         """Whether the part changes what the fit says, and does not leave more."""
-        if fit.residual > result.residual and not declares_noise(problem.study):
+        if not is_plausible(fit, result) or (fit.residual > result.residual and not declares_noise(problem.study)):
             return False
         explains = result.is_doubtful and fit.residual < EXPLAINED * result.residual
         return explains or largest_move(problem, minimum, fit, deviations) > LARGE_MOVE
@@ -148,6 +153,8 @@ def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, result: Explai
 
     def matters(fit: PartFit) -> bool:
         """Whether the part explains far more, so that the fit would be accepted."""
+        if not is_plausible(fit, result):
+            return False
         unexplained = (fit.residual**2 - result.noise**2) / max(result.output**2, TINY)
         return has_gusts or (fit.residual < LARGE_PART * residual and unexplained < MOST_UNEXPLAINED)
 
