@@ -170,7 +170,10 @@ def test_a_residual_that_is_no_noise_is_refused(noisy, wrong, stride):
     logged = {"unit": 100.0 * y, "sign": -y, "start": np.roll(y, 50)}[wrong]
     time = DT * np.arange(400)
     log = FlightLog("flight", {"y": Column(time[::stride], logged[::stride]), "u_total": Column(time, u)}, 0.0)
-    with pytest.raises(Unexplained, match=r"residual of y is .* m rms, noise explains .* Compare the log's columns"):
+    with pytest.raises(
+        Unexplained,
+        match=r"residual of y is .* m rms, largest at .* s of the study.*, noise explains .* Compare the log's columns",
+    ):
         fit_log(linear(), log)
 
 
