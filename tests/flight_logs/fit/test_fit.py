@@ -81,23 +81,21 @@ def test_the_same_estimates_as_scipy(noisy):
 
 
 def test_coloured_noise_widens_the_intervals(noisy):
-    u, _ = noisy
+    u = noisy[0]
     random = np.random.default_rng(2)
     coloured = signal.lfilter([1.0], [1.0, -0.95], random.normal(size=400)) * 0.01 * np.sqrt(1 - 0.95**2)
     white = fit_log(linear(), log_of(output(1.1, 0.8, u) + 0.01 * random.normal(size=400), u))
     fitted = fit_log(linear(), log_of(output(1.1, 0.8, u) + coloured, u))
-    noise = fitted.noise[""]
-    assert noise.white < 1e-6
-    assert noise.share > 0.5
-    assert 0.1 < noise.time < 1.5  # 0.39 s
+    assert fitted.noise[""].white < 1e-6
+    assert fitted.noise[""].share > 0.5
+    assert 0.1 < fitted.noise[""].time < 1.5  # 0.39 s
     assert (fitted.deviations != white.deviations).all()
     assert (np.abs(fitted.estimates - [1.1, 0.8]) < 4.0 * fitted.deviations).all()
-    assert white.doubts == ()
-    assert [doubt.code for doubt in fitted.doubts] == ["large-residual"]
+    assert [doubt.code for doubt in (*white.doubts, *fitted.doubts)] == ["large-residual"]
     small = fit_log(linear(), log_of(output(1.1, 0.8, u) + 0.01 * random.normal(size=400) + 0.7 * coloured, u))
     assert [doubt.code for doubt in small.doubts] == ["correlated-residual"]
-    gust = {"kind": "filtered_noise", "std": 0.2, "correlation_time": 0.5}
-    assert correlation_doubts(linear(disturbance=gust), small.noise) == ()  # the study expects it
+    gusts = linear(disturbance={"kind": "filtered_noise", "std": 0.2, "correlation_time": 0.5})
+    assert correlation_doubts(gusts, small.noise) == ()
 
 
 def test_intervals_cover_the_truth():
