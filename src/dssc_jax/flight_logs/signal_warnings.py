@@ -86,7 +86,6 @@ FAULTS: tuple[WarningCode, ...] = (
     "damaged-log",
     "faster-controller",
     "filtered-command",
-    "filtered-command",
     "held-command",
     "integral-factor",
     "interpolated-command",

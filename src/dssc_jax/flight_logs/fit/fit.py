@@ -64,9 +64,7 @@ from dssc_jax.flight_logs.fit.wrong_columns import column_doubts
 from dssc_jax.flight_logs.hints.reset_hints import require_no_jumps
 from dssc_jax.flight_logs.hints.starts import fixed_integrals
 from dssc_jax.flight_logs.reading.gaps import gap_text
-from dssc_jax.flight_logs.reading.reader import (
-    FlightLog,
-)
+from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.flight_logs.replay import LogReplay, replay_log, require_same_signals
 from dssc_jax.flight_logs.signal_warnings import SignalWarning, hedged
 from dssc_jax.study import Study

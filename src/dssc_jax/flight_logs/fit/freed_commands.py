@@ -12,12 +12,13 @@ from scipy import stats
 
 from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.fit.command_dropouts import Dropout, possible_dropouts, spans_text
-from dssc_jax.flight_logs.fit.least_squares import FitProblem
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.refits import Refit, with_log
 from dssc_jax.flight_logs.fit.refusals import Explained, explain
 from dssc_jax.flight_logs.fit.sampled_log import FreedCommands, SampledLog
 from dssc_jax.flight_logs.fit.shifts import SIGNIFICANCE
+from dssc_jax.flight_logs.hints.conversions import rms
 from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
@@ -43,7 +44,7 @@ class FreeSpan(NamedTuple):
 
 
 def free_spans(log: SampledLog) -> list[FreeSpan]:
-    """The spans in which a log lacks commands, or repeats them; none of commands that are rare as such."""
+    """The spans in which a log lacks commands, or repeats them; none of commands that are rare as such, or constant."""
     spans = []
     for channel, command in enumerate(log.commands):
         is_lacking = np.isnan(log.signals[channel].get("u_total", command))
@@ -53,8 +54,9 @@ def free_spans(log: SampledLog) -> list[FreeSpan]:
             if 0 < begin < end < len(command):
                 changes = command[end - begin :] - command[: begin - end]
                 change = abs(float(command[end] - command[begin]))
-                deviation = max(float(np.sqrt(np.mean(changes**2))), change)
-                spans.append(FreeSpan(channel, Dropout(int(begin), int(end), change), deviation))
+                deviation = max(rms(changes), change)
+                if deviation > 0.0:
+                    spans.append(FreeSpan(channel, Dropout(int(begin), int(end), change), deviation))
     readings = int(np.count_nonzero(np.isfinite(log.outputs)))
     is_few = len(spans) <= min(MOST_SPANS, MOST_FREE * readings)
     return spans if is_few and not log.rare else []
@@ -72,7 +74,7 @@ def freed_commands(problem: FitProblem, minimum: Minimum) -> FitProblem | None:
     results = explain(problem, minimum.x) if spans else []
     if not any(result.is_doubtful for result in results):
         return None
-    free = FreeProblem(problem, spans, np.array([result.noise for result in results]))
+    free = FreeProblem(problem, spans, np.array([max(result.noise, TINY) for result in results]))
     point = free.minimum(minimum.x)
     if not np.all(np.abs(point.changes) <= LARGEST_CHANGE * free.deviations):
         return None
@@ -106,6 +108,7 @@ class FreeProblem:
     """
 
     def __init__(self, problem: FitProblem, spans: list[FreeSpan], noises: np.ndarray) -> None:
+        """Weigh each change by its law."""
         self.problem = problem
         self.spans = spans
         self.noises = noises

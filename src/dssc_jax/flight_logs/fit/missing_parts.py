@@ -194,7 +194,7 @@ def is_narrow(flight: Flight, size: float) -> bool:
 
 
 def is_rounding(flight: Flight, size: float) -> bool:
-    """Whether a step of the commands leaves several values, and is none that they have anyhow."""
+    """Whether a step leaves several values of the commands."""
     return 0.0 < size < float(np.abs(flight.commands).max()) / 2.0
 
 

@@ -52,6 +52,7 @@ class ReplayedChannels:
     """
 
     def __init__(self, problem: FitProblem) -> None:
+        """Make the controllers; nothing is replayed yet."""
         self.log = problem.log
         references = study_references(problem.study, problem.log.outputs.shape[1])
         self.replays = [ChannelReplay(problem.study, *row) for row in enumerate(references)]

@@ -48,8 +48,11 @@ def study_reference_hint(replay: ChannelReplay, logged: Mapping[str, np.ndarray]
         return None
     reason = filtered_text(logged["y_ref"], replay.reference[0], replay.study.loop.sample_time)
     reason = reason or "it is another topic's, such as a filtered or a rarer one"
-    text = f"is not what the controller got, which is the study's: {text}. In the log {reason}. Log the reference that "
-    return Hint("another-reference", f"{text}the controller gets; a fit of logged commands uses none")
+    message = (
+        f"is not what the controller got, which is the study's: {text}. In the log {reason}. Log the reference that "
+        "the controller gets; a fit of logged commands uses none"
+    )
+    return Hint("another-reference", message)
 
 
 def filtered_text(logged: np.ndarray, reference: np.ndarray, sample_time: float) -> str:
