@@ -189,7 +189,7 @@ def field_rows(spec: FieldSpec, name: str, default: object) -> Iterator[FieldRow
 
 
 def value_row(spec: FieldSpec, name: str, default: str) -> FieldRow:
-    """Return the row of a field that is not a table; arguments as those of :func:`field_rows`, in text."""
+    """Return the row of a field that is not a table, with a name and the text of its default value."""
     quantity = spec.mark
     if isinstance(quantity, Quantity):
         meaning = f"{quantity.meaning}{LIST_REMARKS[spec.depth]}"

@@ -57,7 +57,7 @@ class CellMap:
         pooled_axes = list(axes)[2:]
         values = [axes[name] for name in self.names]
         grid = [len(axis_values) for axis_values in values]
-        failed = table.result.failed.transpose(*self.names, *pooled_axes, "draw").values.reshape(*grid, -1)
+        failed = table.result.failed.transpose(*self.names, *pooled_axes, "draw").values
         data = point_columns(failed.reshape(math.prod(grid), -1))
         places = np.indices(grid).reshape(len(values), -1)  # index of each point along each axis
         for index, name in enumerate(self.names):

@@ -217,8 +217,8 @@ def events_in(study: Study, values: Mapping[str, float]) -> dict[str, list[str] 
     times = []
     for index, table in enumerate(study.config.event):
         kinds.append(str(table.get("kind", "rotor")))
-        time = f"event.{index}.at"
-        times.append(float(values_of_draw.get(time, nominal(plain_values[time]))))
+        name = f"event.{index}.at"
+        times.append(float(values_of_draw.get(name, nominal(plain_values[name]))))
     return {"event_kinds": kinds, "event_times": times}
 
 

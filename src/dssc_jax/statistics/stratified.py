@@ -60,7 +60,7 @@ def stratified_interval(
 
 def dense_squares(
     weights: np.ndarray, failures: np.ndarray, draws: np.ndarray, confidence: float
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[float, float]:
     """Sums over strata of the squared distances of the lower and of the upper exact limit from the estimate.
 
     Args:

@@ -99,7 +99,7 @@ def choice_quantile(u: np.ndarray, *values: float) -> np.ndarray:
 
 
 def truncates_within_37_deviations(mean: float, std: float, low: float, high: float) -> bool:
-    """Whether [lo, hi] reaches to within 37 std of the mean, beyond which a normal law's tail underflows in float64."""
+    """Whether std > 0, lo < hi, and [lo, hi] reaches within 37 std of the mean; a farther tail underflows (float64)."""
     return std > 0.0 and low < high and low < mean + 37.0 * std and high > mean - 37.0 * std
 
 

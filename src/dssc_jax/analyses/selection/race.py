@@ -196,9 +196,8 @@ def rarely_failing(
     Returns:
         ``keep`` candidates, the best first; None if there are not so many.
     """
-    most_draws = math.ceil(
-        2.0 * evidence_threshold / within
-    )  # about twice the draws that a proof takes without a failure
+    # about twice the draws that a proof takes without a failure
+    most_draws = math.ceil(2.0 * evidence_threshold / within)
     proved_candidates: list[int] = []
     for begin in range(0, TRIED * keep, keep):
         contenders = order[begin : begin + keep]

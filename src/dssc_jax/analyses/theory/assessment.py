@@ -273,8 +273,11 @@ def assess(
         edge = median_edge(study, walk)
     oscillations = {}
     try:
+        values = time_constants(study, over, bounds)
+        after = SETTLED * study.config.loop.duration
         loops = {kind_in(study.config, "controller"): study, **(rivals or {})}
-        oscillations = oscillations_along(study, over, bounds, loops)
+        for name, loop in loops.items():  # those before an error are kept
+            oscillations[name] = chattering(loop, values, push=PUSH, after=after)
     except ConfigError as error:
         not_covered[OSCILLATIONS] = error.rule
     return Assessment.of(performance, local, oscillations, edge, not_covered, time.perf_counter() - began)
@@ -307,25 +310,6 @@ def median_edge(study: Study, walk: Mapping[str, Any]) -> float | None:
     median_study = study.override({**medians(study), "draws": 1})
     critical = float(local_margin(median_study, **walk).dataset["critical"].values[0])
     return None if np.isnan(critical) else critical
-
-
-def oscillations_along(
-    study: Study, over: str, bounds: tuple[float, float], loops: Mapping[str, Study]
-) -> dict[str, xr.Dataset]:
-    """The return value of :func:`chattering` for each of several controllers, by name.
-
-    Args:
-        study: The study, for its sample time and duration.
-        over: Dotted name of the number that is walked.
-        bounds: Both ends of the walk.
-        loops: The study with each controller.
-
-    Raises:
-        ConfigError: Oscillations cannot be predicted over this number, or for one of the controllers.
-    """
-    values = time_constants(study, over, bounds)
-    after = SETTLED * study.config.loop.duration
-    return {name: chattering(loop, values, push=PUSH, after=after) for name, loop in loops.items()}
 
 
 def is_time_constant(study: Study, name: str) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from dssc_jax.analyses.tuning.rules import OBJECTIVE, PROVED_ERROR, WIDTH, seed_of, start_value, tune_table
 from dssc_jax.analyses.tuning.search_variables import SearchCoordinates, Theorem, identity, split_parameters
 from dssc_jax.closed_loop.metrics.streaming import Measure
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, errors_in_file
 from dssc_jax.proofs import SWEEP_BOXES
 from dssc_jax.study import Study
 from dssc_jax.study.schema import TuneTable
@@ -64,10 +64,8 @@ class Plan:
         Raises:
             ConfigError: Dotted path, rule and value of the first error.
         """
-        try:
+        with errors_in_file(study.source):
             return cls._of(study.without_sweep())
-        except ConfigError as error:
-            raise error.within(study.source) from None
 
     @classmethod
     def _of(cls, study: Study) -> "Plan":

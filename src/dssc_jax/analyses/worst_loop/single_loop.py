@@ -48,7 +48,7 @@ class GainBounds(NamedTuple):
 
 
 class WorstFound(NamedTuple):
-    """What the two searches found of one broken loop.
+    """Results of the two searches of one broken loop.
 
     Args:
         margins: The worst value of each of the :data:`MARGINS` within the box.
@@ -166,7 +166,7 @@ def find_bounds(broken: BrokenFamily, found: WorstFound, cells: int, remaining_p
 
     Args:
         broken: The broken loop over the box.
-        found: What the searches found, which sets the goals of the bounds.
+        found: Results of the searches, which set the goals of the bounds.
         cells: Largest number of cells.
         remaining_points: Number of points that may still be linearised.
     """

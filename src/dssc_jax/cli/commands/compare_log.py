@@ -132,10 +132,10 @@ def print_refusal(refusal: FitRefused, study: Study, replay: LogReplay, options:
         options: Options of the command.
     """
     replay_summary = replay.summary(study)
-    is_open = isinstance(refusal, NotIdentifiable)
-    reason = str(refusal) if is_open else f"{refusal}{fault_text(replay.warnings)}"
+    is_undetermined = isinstance(refusal, NotIdentifiable)
+    reason = str(refusal) if is_undetermined else f"{refusal}{fault_text(replay.warnings)}"
     if options.as_json:
-        verdict = {"identifiable": False} if is_open else {"explained": False}
+        verdict = {"identifiable": False} if is_undetermined else {"explained": False}
         print(json.dumps({"study": study.name, **verdict, "reason": reason, **replay_summary}))
     else:
         show_replay(replay_summary, study)
