@@ -81,3 +81,11 @@ def test_what_is_not_covered_says_why(study):
     assert "switches at the origin" in fine.not_covered["sampled"]
     assert "the clock would chatter" in fine.not_covered["oscillations"]
     assert fine.edge is None
+
+
+def test_oscillations_before_a_refused_rival_stay(study):
+    few = study.override({"draws": 4, "loop.duration": 9.0})
+    rivals = {"without a lag": few.override({"unmodelled": {"kind": "none"}})}
+    found = dj.theory.assess(few, over="unmodelled.mu", bounds=(0.04, 0.2), points=3, bisections=2, rivals=rivals)
+    assert set(found.oscillations) == {"dssc"}
+    assert found.not_covered["oscillations"]
