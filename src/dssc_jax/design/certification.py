@@ -146,8 +146,7 @@ def certified_up_to(study: Study, name: str, values: np.ndarray) -> CertifiedRea
         name: Dotted name of the number, or :data:`SPREAD` for the factor that widens all laws.
         values: Values of the number, from its safe end, shape (n,).
     """
-    marks_of = marks_over_spread if name == SPREAD else marks_along
-    verdicts, reason = marks_of(study, name, values)
+    verdicts, reason = marks_at(study, name, values)
     if verdicts is None:
         return CertifiedReach(None, f"Theorem 1 does not apply: {reason}")
     if not verdicts[0]:
@@ -169,18 +168,22 @@ def refined_end(study: Study, name: str, values: np.ndarray, verdicts: np.ndarra
         values: Values of the number, from its safe end, shape (n,).
         verdicts: Whether each is certified, shape (n,): the first one is, and not all are.
     """
-    marks_of = marks_over_spread if name == SPREAD else marks_along
     first_failure = int(np.argmin(verdicts))
     certified_end = values[first_failure - 1]
     failing_end = values[first_failure]
     for _ in range(REFINEMENTS):
         refined_values = np.linspace(certified_end, failing_end, CELL_POINTS)
-        refined_verdicts, _ = marks_of(study, name, refined_values)
+        refined_verdicts, _ = marks_at(study, name, refined_values)
         assert refined_verdicts is not None  # the theorem applies at both ends
         first_failure = max(1, int(np.argmin(refined_verdicts)))
         certified_end = refined_values[first_failure - 1]
         failing_end = refined_values[first_failure]
     return float(certified_end)
+
+
+def marks_at(study: Study, name: str, values: np.ndarray) -> Mark:
+    """The theorem's result at each value of a number or of :data:`SPREAD`, in the order of the values, shape (n,)."""
+    return marks_over_spread(study, values) if name == SPREAD else marks_along(study, name, values)
 
 
 def marks_along(study: Study, name: str, values: np.ndarray) -> Mark:
@@ -198,17 +201,15 @@ def marks_along(study: Study, name: str, values: np.ndarray) -> Mark:
     return Mark(verdicts, reason)
 
 
-def marks_over_spread(study: Study, name: str, values: np.ndarray) -> Mark:
+def marks_over_spread(study: Study, values: np.ndarray) -> Mark:
     """The theorem's result for a study whose laws are widened by each of several factors, shape (n,).
 
     A law of unbounded support stays unbounded. A study in which a law leaves its number's interval is not certified.
 
     Args:
         study: The study; its own sweep is ignored.
-        name: Not used; the function has the arguments of :func:`marks_along`.
         values: Factors on the width of every law, shape (n,).
     """
-    del name
     verdicts = []
     for value in values:
         try:

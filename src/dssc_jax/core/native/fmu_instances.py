@@ -172,7 +172,7 @@ class Instances:
             memory: Address of the call's memory, which also holds the inputs.
             outputs: Address to which the outputs are written.
         """
-        instance = self._instance_before(handle, step_count)
+        instance = self._instance_at(handle, step_count)
         if instance is None:
             return False
         calls = self.calls
@@ -193,7 +193,7 @@ class Instances:
             self._finished.append(handle)
         return True
 
-    def _instance_before(self, handle: int, step_count: int) -> Instance | None:
+    def _instance_at(self, handle: int, step_count: int) -> Instance | None:
         """The instance of a handle if it has made as many steps as the lane; else None, with a note of a fault.
 
         The last sample of a draw that has ended is computed again. This is no fault, since its results are not read.

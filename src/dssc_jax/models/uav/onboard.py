@@ -279,7 +279,12 @@ def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
 
 
 class RotorMount(NamedTuple):
-    """The nominal place of a rotor in body axes [m], and the sign of its drag torque: 1 if it turns clockwise."""
+    """Where a rotor is, and its turning sense.
+
+    Args:
+        position: Nominal place in body axes [m].
+        torque_sign: Sign of its drag torque: 1 if it turns clockwise as seen from above.
+    """
 
     position: tuple[float, ...]
     torque_sign: Scalar

@@ -76,7 +76,7 @@ def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap 
     inputs = np.concatenate([step.b, jump[:, None], v_column[:, None], step.push[:, None], unit], axis=1)
     inputs_of_constant_size = step.b.shape[1] + 1  # the columns of w and of the jump; the omegas follow
     starts = start_corners(problem, box, start_ratio(problem, is_integrated=is_integrated))
-    rows = signal_rows(step, spread, point)
+    rows = bounded_signals(step, spread, point)
     middle_responses = responses(step.a, rows, inputs, np.stack(starts, axis=1))
     if middle_responses is None:
         return None
@@ -102,7 +102,7 @@ def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap 
     )
 
 
-def signal_rows(step: Step, spread: LawSpread, point: LoopPoint) -> np.ndarray:
+def bounded_signals(step: Step, spread: LawSpread, point: LoopPoint) -> np.ndarray:
     """Rows that give the signals from the state z of the middle loop, in the order of their places, (signals, n)."""
     rows = step.rows
     unit = np.eye(step.a.shape[0])

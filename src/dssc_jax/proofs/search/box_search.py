@@ -80,7 +80,7 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
             e=stage.bounds[ERROR],
             change=stage.bounds[CHANGE],
         )
-        proof = Proof(box, [stage, *towards_residual(problem, box, limits, limits.e, start_result.allowed_problem)])
+        proof = Proof(box, [stage, *towards_residual(problem, box, limits, start_result.allowed_problem)])
         return tighter_start(problem, proof)
     needs_more_command = start_result == Obstacle.SLIDING  # bounds imply themselves, but u_eq may exceed rho
     if any(problem.by_state):  # invariant sets cannot bound a disturbance that depends on the state
@@ -172,7 +172,7 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool)
     stages = [start_stage]
     for _ in range(SHRINKING):
         region = region_of_set(setting, stages[-1])
-        residual_stages = towards_residual(problem, box, region, region.e, problem)
+        residual_stages = towards_residual(problem, box, region, problem)
         if residual_stages:
             return Proof(box, [*stages, *residual_stages])
         # the first set after the start's tries several rates lambda; the sets after it keep the best of them

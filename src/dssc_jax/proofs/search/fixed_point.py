@@ -199,7 +199,7 @@ def slide_slack(problem: ProofProblem, box: Box, fitted: FittedBounds, region: S
 
 
 class Motion(NamedTuple):
-    """Bounds at all times of |e| [m], of the speed |e'| [m/s] and of the acceleration [m/s^2]."""
+    """Bounds at all times of |e| [m], of the speed |e'| [m/s] and of the acceleration |e''| [m/s^2]."""
 
     e: float
     speed: float
@@ -339,7 +339,7 @@ def least_bounds(
 
 
 def towards_residual(
-    problem: ProofProblem, box: Box, limits: StageRegion, error: float, allowed_problem: ProofProblem
+    problem: ProofProblem, box: Box, limits: StageRegion, allowed_problem: ProofProblem
 ) -> list[BoundsStage]:
     """Search for further stages of a proof, each with a smaller bound of the upper limit (limit superior) of |e|.
 
@@ -349,7 +349,6 @@ def towards_residual(
         problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
         limits: Bounds so far of |sigma|, |e| and the change of sigma in a sample.
-        error: Bound of |e| so far [m].
         allowed_problem: The problem with the largest disturbance that the bounds so far allow.
     """
     stages: list[BoundsStage] = []
@@ -357,10 +356,9 @@ def towards_residual(
         worthwhile_ratio = WORTH if number < SHRINKINGS else FURTHER_WORTH
         region = StageRegion(*np.maximum(ENTERED * INFLATION * np.array(limits), SMALLEST_REGION).tolist())
         fitted = least_bounds(allowed_problem, box, region, ERROR, with_start=False)
-        if fitted is None or not fitted.bounds[ERROR] < worthwhile_ratio * error:
+        if fitted is None or not fitted.bounds[ERROR] < worthwhile_ratio * limits.e:
             break
         stages.append(bounds_stage(allowed_problem, region, fitted))
         allowed_problem = allowed_disturbance(problem, allowed_problem, box, fitted)
         limits = StageRegion(*fitted.bounds[[SIGMA, ERROR, CHANGE]].tolist())
-        error = limits.e
     return stages

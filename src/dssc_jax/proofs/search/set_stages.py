@@ -204,12 +204,11 @@ def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
         hull = region.hull
         mean = middle(hull["mean"])
         v_row = integrator + mean * s
-        largest_phi_1_deviation = 0.0  # of phi_1(s) from mean s
+        phi_1_deviations = []  # of phi_1(s) from mean s
         for piece, largest_s in zip(region.pieces, region.ends, strict=True):
             low, high = piece["mean"]
-            largest_ratio = max(abs(low - mean), abs(high - mean))
-            largest_phi_1_deviation = max(largest_phi_1_deviation, largest_ratio * largest_s)
-        room -= largest_phi_1_deviation
+            phi_1_deviations.append(max(abs(low - mean), abs(high - mean)) * largest_s)
+        room -= max(phi_1_deviations)
         room -= hull["slide_e"][1] * setting.error_change(region)  # what phi_1 changes by through e
     else:
         hull = setting.increments(region, region.hull)

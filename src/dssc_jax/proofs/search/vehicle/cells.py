@@ -130,7 +130,7 @@ class CellSearch:
 
 
 def cell_bounds(problem: VehicleProblem, room_factor: float) -> CellBounds | Obstacle:
-    """Search for bounds in time cells; the first layout of cells and straight lines that have bounds are taken.
+    """Search for bounds in time cells, with several layouts of cells and straight lines, until one choice succeeds.
 
     Args:
         problem: The vehicle.

@@ -133,50 +133,50 @@ def best_lines(points: GainPoints, *, joint: bool) -> StraightLines:
         points: The gains of the functions at points.
         joint: Whether omega_q takes a share of omega_u; else s_q = 0.
     """
-    sigma = np.abs(points.sigma)
+    size = np.abs(points.sigma)
     phi_2_ratios = points.columns["k_i"]  # phi_2/sigma
     n_ratios = points.columns["k_n"]  # n/sigma
     command_ratios = points.columns["mean"] + n_ratios  # (phi_1 + n)/sigma
-    command_slope = nearest_slope(sigma, command_ratios)  # k_1 + k_3
-    k_2 = nearest_slope(sigma, phi_2_ratios)
+    command_slope = nearest_slope(size, command_ratios)  # k_1 + k_3
+    k_2 = nearest_slope(size, phi_2_ratios)
     k_3 = float(np.mean(n_ratios))
-    share = nearest_share(sigma, phi_2_ratios - k_2, command_ratios - command_slope) if joint else 0.0
+    share = nearest_share(size, phi_2_ratios - k_2, command_ratios - command_slope) if joint else 0.0
     return StraightLines(command_slope - k_3, k_2, k_3, share)
 
 
-def nearest_share(sigma: np.ndarray, omega_q_ratios: np.ndarray, omega_u_ratios: np.ndarray) -> float:
+def nearest_share(size: np.ndarray, omega_q_ratios: np.ndarray, omega_u_ratios: np.ndarray) -> float:
     """The share s_q for which the largest |omega_q - s_q omega_u| is smallest; that distance is convex in s_q.
 
     Args:
-        sigma: |sigma| at points, shape (points,).
+        size: |sigma| at points, shape (points,).
         omega_q_ratios: omega_q/sigma there, shape (points,).
         omega_u_ratios: omega_u/sigma there, shape (points,).
     """
-    largest_omega_u = largest_distance(sigma, omega_u_ratios, 0.0)
-    largest_omega_q = largest_distance(sigma, omega_q_ratios, 0.0)
+    largest_omega_u = largest_distance(size, omega_u_ratios, 0.0)
+    largest_omega_q = largest_distance(size, omega_q_ratios, 0.0)
     if largest_omega_u == 0.0 or largest_omega_q == 0.0:
         return 0.0
     limit = 2.0 * largest_omega_q / largest_omega_u  # beyond it the difference exceeds omega_q
 
     def distance_with(share: float) -> float:
         """The largest |omega_q - share omega_u| at the points."""
-        return largest_distance(sigma, omega_q_ratios - share * omega_u_ratios, 0.0)
+        return largest_distance(size, omega_q_ratios - share * omega_u_ratios, 0.0)
 
     return minimiser(distance_with, -limit, limit)
 
 
-def nearest_slope(sigma: np.ndarray, ratios: np.ndarray) -> float:
+def nearest_slope(size: np.ndarray, ratios: np.ndarray) -> float:
     """The slope k for which the largest |f - k sigma| is smallest, for a function f; that distance is convex in k.
 
     Args:
-        sigma: |sigma| at points, shape (points,).
+        size: |sigma| at points, shape (points,).
         ratios: f/sigma there, shape (points,).
     """
     low = float(ratios.min())
     high = float(ratios.max())
     if not low < high:
         return low
-    return minimiser(lambda slope: largest_distance(sigma, ratios, slope), low, high)
+    return minimiser(lambda slope: largest_distance(size, ratios, slope), low, high)
 
 
 def minimiser(function: Callable[[float], float], low: float, high: float) -> float:
@@ -185,9 +185,9 @@ def minimiser(function: Callable[[float], float], low: float, high: float) -> fl
     return float(minimum.x)
 
 
-def largest_distance(sigma: np.ndarray, ratios: np.ndarray, slope: float) -> float:
-    """The largest |f - slope sigma| at points with f/sigma = ``ratios``, widened a little; ``sigma`` has |sigma|."""
-    return DISTANCE_ROOM * float(np.max(np.abs(ratios - slope) * sigma))
+def largest_distance(size: np.ndarray, ratios: np.ndarray, slope: float) -> float:
+    """The largest |f - slope sigma| at points with f/sigma = ``ratios``, widened a little; ``size`` has |sigma|."""
+    return DISTANCE_ROOM * float(np.max(np.abs(ratios - slope) * size))
 
 
 def deviations_of(points: GainPoints, lines: StraightLines) -> ChannelDeviations:
@@ -199,7 +199,7 @@ def deviations_of(points: GainPoints, lines: StraightLines) -> ChannelDeviations
     """
     k_1, k_2, k_3, share = lines
     columns = points.columns
-    sigma = np.abs(points.sigma)
+    size = np.abs(points.sigma)
     phi_1_ratios = columns["mean"]
     command_ratios = phi_1_ratios + columns["k_n"]  # (phi_1 + n)/sigma
     integral_ratios = columns["k_i"] - share * command_ratios  # (phi_2 - s_q (phi_1 + n))/sigma
@@ -210,9 +210,9 @@ def deviations_of(points: GainPoints, lines: StraightLines) -> ChannelDeviations
     return ChannelDeviations(
         lines=lines,
         distance=DeviationBounds(
-            phi_1=largest_distance(sigma, phi_1_ratios, k_1),
-            omega_r=largest_distance(sigma, integral_ratios, integral_slope) * integral_room,
-            omega_u=largest_distance(sigma, command_ratios, command_slope),
+            phi_1=largest_distance(size, phi_1_ratios, k_1),
+            omega_r=largest_distance(size, integral_ratios, integral_slope) * integral_room,
+            omega_u=largest_distance(size, command_ratios, command_slope),
         ),
         ratio=DeviationBounds(
             phi_1=largest_ratio(phi_1_ratios, k_1),

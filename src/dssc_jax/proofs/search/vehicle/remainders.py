@@ -200,11 +200,11 @@ def torques_with_lag(problem: VehicleProblem, bounds: Signals, attitude: Attitud
     t = attitude.tangent
     rate_h = attitude.rate_h
     rate_z = attitude.rate_z
-    coupling = gyroscopic_factors(problem.inertia)
+    factors = gyroscopic_factors(problem.inertia)
     mu_h = bounds["x"]["gamma"] / GRAVITY
     mu_z = bounds["psi"]["gamma"]
-    m_h = delta * mu_h + drag.torque_h + coupling.across * rate_h * rate_z + attitude.frame_h
-    m_z = delta * mu_z + drag.torque_z + coupling.along * rate_h**2 / 2.0 + attitude.frame_z
+    m_h = delta * mu_h + drag.torque_h + factors.across * rate_h * rate_z + attitude.frame_h
+    m_z = delta * mu_z + drag.torque_z + factors.along * rate_h**2 / 2.0 + attitude.frame_z
     yaw = t * mu_h + (attitude.secant - 1.0) * mu_z + t * m_h + attitude.secant * m_z  # psi.torque
     turn = turn_of_plane(attitude, yaw_acceleration=mu_z + yaw) + s * t * mu_h + t * mu_z
     return Torques(GRAVITY * (turn + (1.0 + s * t) * m_h + t * m_z), yaw)

@@ -313,8 +313,7 @@ def trapezoid(values: list[np.ndarray]) -> np.ndarray:
 def forced_response(linear: LinearChannel, column: np.ndarray, time: float) -> np.ndarray:
     """What a constant input 1 through a column adds to chi within a time [s], shape (m,)."""
     driven = replace(linear, control=column)  # the column in place of the command's
-    _, change = flow(driven, time)
-    return change
+    return flow(driven, time).gamma
 
 
 def start_columns(problem: VehicleProblem, channel: ChannelProblem, n: int, lines: StraightLines) -> list[np.ndarray]:
@@ -333,13 +332,8 @@ def start_share(problem: VehicleProblem, channel: ChannelProblem, lines: Straigh
     q_(-1) is 0 for the start ``zero``, -phi_1(sigma_0) for ``matched``, and (T_s/2) phi_2(sigma_0) less for
     ``midpoint``.
     """
-    match channel.start:
-        case "zero":
-            return 0.0
-        case "matched":
-            return lines.k_1
-        case _:
-            return lines.k_1 + 0.5 * problem.sample_time * lines.k_2
+    midpoint_share = lines.k_1 + 0.5 * problem.sample_time * lines.k_2
+    return {"zero": 0.0, "matched": lines.k_1, "midpoint": midpoint_share}[channel.start]
 
 
 def largest_values(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.ndarray) -> np.ndarray:

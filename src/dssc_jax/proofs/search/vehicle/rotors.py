@@ -76,8 +76,8 @@ def gyroscopic_factors(inertia: tuple[Interval, ...]) -> GyroscopicFactors:
 
 def largest_difference(a: Interval, b: Interval) -> float:
     """The largest |a - b| over two intervals."""
-    (a_low, a_high) = a
-    (b_low, b_high) = b
+    a_low, a_high = a
+    b_low, b_high = b
     return max(a_high - b_low, b_high - a_low)
 
 
