@@ -145,18 +145,29 @@ def sample_matrix(
     """
     n = state_places(problem).n
     chi = n - 2
-    v_row = integrator_row(problem, gain, is_integrated=is_integrated)
-    command = command_row(problem, gain, is_integrated=is_integrated)
+    integrator, command = control_rows(problem, gain, is_integrated=is_integrated)
     rows = []
     for i in range(chi):  # Phi chi + Gamma k_p command
         by_state = [held_matrix[i, j] for j in range(chi)] + [arb(0), arb(0)]
         push = k_p * held_matrix[i, chi]
         rows.append([by_state[j] + push * command[0, j] for j in range(n)])
-    return arb_mat([*rows, *v_row.tolist(), *signal_rows(problem).sigma.tolist()])
+    return arb_mat([*rows, *integrator.tolist(), *signal_rows(problem).sigma.tolist()])
 
 
-def integrator_row(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) -> arb_mat:
-    """v+ = v + K_P (sigma - s) + T_s K_I sigma after the sample, or q+ = q + T_s K_I sigma, as a row over z, (1, n).
+class ControlRows(NamedTuple):
+    """The controller's row after a sample, and its command, over z, shape (1, n) each.
+
+    Args:
+        integrator: v+ = v + K_P (sigma - s) + T_s K_I sigma, or q+ = q + T_s K_I sigma.
+        command: command + d_r = -v+, or -q+ - phi_1, less the nominal control's feedback.
+    """
+
+    integrator: arb_mat
+    command: arb_mat
+
+
+def control_rows(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) -> ControlRows:
+    """The controller's rows of a sample.
 
     Args:
         problem: The certificate's problem.
@@ -164,28 +175,20 @@ def integrator_row(problem: Problem, gain: Sequence[arb], *, is_integrated: bool
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     rows = signal_rows(problem)
-    proportional, k_i, _ = gain
-    row = rows.v + rows.sigma * (arb(problem["sample_time"]) * k_i)
-    return row if is_integrated else row + rows.change * proportional
-
-
-def command_row(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) -> arb_mat:
-    """command + d_r = -v+, or -q+ - phi_1, less the nominal control's feedback, as a row over z, shape (1, n).
-
-    The arguments are those of :func:`integrator_row`.
-    """
-    rows = signal_rows(problem)
-    proportional, _, k_n = gain
-    command = -integrator_row(problem, gain, is_integrated=is_integrated)
+    proportional, k_i, k_n = gain
+    integrator = rows.v + rows.sigma * (arb(problem["sample_time"]) * k_i)
     if is_integrated:
-        command = command - rows.sigma * proportional
+        command = -integrator - rows.sigma * proportional
+    else:
+        integrator = integrator + rows.change * proportional
+        command = -integrator
     if problem["nominal"]:
         a_n, nominal_gain = map(arb, problem["nominal"][:2])
         l0 = arb(problem["l0"])
         feedback = rows.e * ((a_n - l0) * l0) + rows.sigma * (l0 - a_n)
         command = command - feedback * (1 / nominal_gain)
         command = command - rows.sigma * k_n  # the term 1/tau_m
-    return command
+    return ControlRows(integrator, command)
 
 
 def zeta_jump(problem: Problem) -> list[arb]:

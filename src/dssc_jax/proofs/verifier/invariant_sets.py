@@ -29,7 +29,7 @@ from dssc_jax.proofs.verifier.certificate import Box, InvariantStage, Problem
 from dssc_jax.proofs.verifier.enclosed_loop import (
     SAMPLE_PIECES,
     Corner,
-    command_row,
+    control_rows,
     disturbance_effects,
     sample_corners,
     signal_bounds,
@@ -278,7 +278,7 @@ def largest_between_samples(stage_set: StageSet, place: int) -> arb:
         *by_chi, by_u = flow.tolist()[place]
         by_state = arb_mat([[*by_chi, arb(0), arb(0)]])  # not of v and s
         for gain in product(*(ball_ends(stage_set.gains[name]) for name in names)):
-            command = command_row(problem, gain, is_integrated=stage_set.is_integrated)
+            command = control_rows(problem, gain, is_integrated=stage_set.is_integrated).command
             row = by_state + command * (k_p * by_u)  # U = k_p (command + d_r)
             largest = maximum(largest, (bound_in_set(stage_set.inverse, row) + disturbance_bound).upper())
     return largest

@@ -31,7 +31,7 @@ from dssc_jax.proofs.verifier.balls import (
 )
 from dssc_jax.proofs.verifier.certificate import Box, Problem, SmallGainStage
 from dssc_jax.proofs.verifier.enclosed_loop import (
-    command_row,
+    control_rows,
     disturbance_effects,
     input_columns,
     sample_matrix,
@@ -145,7 +145,7 @@ def bounded_signals(problem: Problem, centre: Balls, gain: list[arb], *, is_inte
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     rows = signal_rows(problem)
-    command = command_row(problem, gain, is_integrated=is_integrated)
+    command = control_rows(problem, gain, is_integrated=is_integrated).command
     equivalent = rows.v + rows.change * centre["slide_p"] + rows.sigma * centre["slide_i"]
     if is_integrated:  # v = q + phi_1(s)
         equivalent = equivalent + rows.s * centre["mean"]
