@@ -1,6 +1,7 @@
 """Lowest and highest failure probability over ranges of laws, on a loop whose failure is a half space."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,6 +73,17 @@ def test_new_draws_are_those_of_the_laws_found(study, found):
 def test_verdicts(study):
     assert dj.law_ranges(study, limit=0.05, fresh=200).verdict == "not decided"
     assert dj.law_ranges(study, limit=0.005, fresh=200).verdict == "exceeded by all laws"
+
+
+def test_the_interval_contains_new_draws_that_contradict_the_weights(found):
+    """The new draws are simulations of the law itself, and their interval is exact."""
+    below = replace(found.lowest, fresh_interval=(0.0, found.lowest.interval[0] / 2))
+    above = replace(found.highest, fresh_interval=(0.3, 0.4))
+    contradicted = replace(found, lowest=below, highest=above)
+    assert not contradicted.verified
+    assert contradicted.interval == (0.0, 0.4)
+    assert contradicted.verdict == "not decided"
+    assert replace(found, highest=above).interval == (found.interval[0], 0.4)
 
 
 def test_parameters_have_ranges(study):

@@ -81,8 +81,9 @@ class LawRangesAnswer:
 class LawRanges(Analysis):
     """Lowest and highest failure probability over the box of laws: all laws whose arguments lie within their ranges.
 
-    The dataset has along ``argument``, the arguments that are ranges: ``low`` and ``high``, the range, and
-    ``at_lowest`` and ``at_highest``, the argument of the law with the lowest and with the highest failure probability.
+    The dataset's dimension ``argument`` lists the arguments given as ranges. Its variables are ``low`` and ``high``,
+    the range, and ``at_lowest`` and ``at_highest``, the argument of the law with the lowest and with the highest
+    failure probability.
 
     Args:
         limit: Largest failure probability allowed.
@@ -110,10 +111,14 @@ class LawRanges(Analysis):
     def interval(self) -> tuple[float, float]:
         """Interval that holds the failure probability of every law of the box.
 
-        Where new draws contradict the weights, it is widened as far as the interval from the new draws.
+        Where new draws contradict the weights, it also contains the interval from the new draws.
         """
-        low = min(self.lowest.interval[0], self.lowest.fresh_interval[1])
-        high = max(self.highest.interval[1], self.highest.fresh_interval[0])
+        low, _ = self.lowest.interval
+        _, high = self.highest.interval
+        if not self.lowest.agrees:
+            low = min(low, self.lowest.fresh_interval[0])
+        if not self.highest.agrees:
+            high = max(high, self.highest.fresh_interval[1])
         return low, high
 
     @property

@@ -75,12 +75,13 @@ def function_distances(
         rooms["phi_2"] = SHARED_ROOM
     rounding = {name: rounding_room(names, lines.slopes) * sigma for name, names in DISTANCES.items()}
     rounding["phi_2"] += abs(lines.share) * rounding["both"]
-    reached = dict.fromkeys(DISTANCES, arb(0))  # at points, lower bounds
+    reached = largest_at_points(problem, [sigma], lines)
     bounds = dict.fromkeys(DISTANCES, arb(0))
     pieces = [(sigma_from, sigma)]
     remaining = MOST_PIECES
     while pieces:
-        for name, distance in largest_at_points(problem, pieces, lines).items():
+        middles = [middle_of(piece) for piece in pieces]  # the pieces' ends are sigma, or middles of earlier pieces
+        for name, distance in largest_at_points(problem, middles, lines).items():
             reached[name] = maximum(reached[name], distance)
         limits = {name: reached[name] * (1 + rooms[name]) + rounding[name] for name in DISTANCES}
         remaining -= len(pieces)
@@ -98,13 +99,12 @@ def function_distances(
     return bounds
 
 
-def largest_at_points(problem: Problem, pieces: Sequence[SizeInterval], lines: StraightLines) -> Balls:
-    """Lower bounds of the largest distances at the middle and the upper end of each piece of |sigma|, by name."""
+def largest_at_points(problem: Problem, points: Sequence[float], lines: StraightLines) -> Balls:
+    """Lower bounds of the largest distances at points of |sigma| [m/s], by name."""
     largest = dict.fromkeys(DISTANCES, arb(0))
-    for low, high in pieces:
-        for point in (middle_of((low, high)), high):
-            for name, distance in distances_at(problem, (point, point), lines).items():
-                largest[name] = maximum(largest[name], distance.lower())
+    for point in points:
+        for name, distance in distances_at(problem, (point, point), lines).items():
+            largest[name] = maximum(largest[name], distance.lower())
     return largest
 
 
