@@ -46,6 +46,15 @@ def test_gain_of_a_linear_loop(run):
     assert spectrum.attrs["amplification"] == pytest.approx(white, rel=0.05)
 
 
+def test_units_are_those_of_the_channel():
+    """A speed of a motor in rad/s, driven by a voltage: sigma is in rad/s^2."""
+    units = {"output": "rad/s", "command": "V"}
+    short = {**LINEAR, "loop": {"duration": 60.0, "sample_time": DT}, "units": units}
+    spectrum = dj.noise_spectrum(dj.simulate(dj.Study.from_table(short)))
+    noise_units = {name: spectrum[name].attrs["units"] for name in ("noise", "command", "gain", "coherence")}
+    assert noise_units == {"noise": "rad^2/(s^4 Hz)", "command": "V^2/Hz", "gain": "V s^2/rad", "coherence": "1"}
+
+
 def test_an_exact_measurement_amplifies_nothing():
     exact = dj.simulate(dj.Study.from_table({**LINEAR, "sensor": {"kind": "ideal"}}))
     assert (exact.attrs["noise_amplification"], exact.attrs["noise_drift"]) == (0.0, 0.0)

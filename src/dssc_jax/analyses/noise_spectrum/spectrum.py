@@ -6,6 +6,7 @@ from scipy import signal
 
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import unit_and_meaning
+from dssc_jax.core.units import ChannelUnits
 
 SEGMENT = 1024
 """Samples of a segment of Welch's method."""
@@ -18,7 +19,7 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
     The gain is |S_nu|/S_nn, from the cross spectrum S_nu and the noise's spectrum S_nn by Welch's method (Hann window,
     half overlap, mean removed). Motion that is uncorrelated with the noise, such as the answer to a disturbance,
     averages out. In a linear loop the gain is the magnitude of the transfer function. Where the coherence is far below
-    1, u depends on the noise nonlinearly, or on something else.
+    1, u depends on the noise nonlinearly, or mostly on other signals.
 
     Args:
         run: A trajectory with every sample, from :func:`dssc_jax.simulate` or :func:`dssc_jax.replay`.
@@ -26,14 +27,16 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
         after: Samples before this time [s] are left out.
 
     Returns:
-        Along ``frequency`` [Hz]: ``noise`` and ``command`` (power spectral densities [m^2/s^2/Hz]), ``gain`` [1] and
-        ``coherence`` [1]. The attribute ``amplification`` is the rms of the part of u that the noise explains, per rms
-        of the noise [1].
+        Along ``frequency`` [Hz]: ``noise`` and ``command``, power spectral densities in the squares of the units of
+        sigma and u per Hz; ``gain``, in the unit of u over that of sigma; ``coherence`` [1]. The attribute
+        ``amplification`` is the rms of the part of u that the noise explains over the rms of the noise, in the unit
+        of the gain.
 
     Raises:
         ConfigError: There is no such channel, the measurement is exact, or fewer than 4,096 samples remain.
     """
     noise, command = noise_and_command(run, channel, after)
+    units = ChannelUnits(output=noise.attrs["units"], command=command.attrs["units"])
     rate = 1.0 / float(run["t"][1] - run["t"][0])
     frequency, noise_density = signal.welch(noise, rate, nperseg=SEGMENT)
     _, command_density = signal.welch(command, rate, nperseg=SEGMENT)
@@ -43,10 +46,11 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
     command_density = command_density[1:]
     cross = np.abs(cross_density[1:])
     gain = cross / noise_density
+    amplification = np.sqrt(np.sum(gain**2 * noise_density) / np.sum(noise_density))
     columns = {
-        "noise": (noise_density, "m^2/s^2/Hz", "spectral density of the error of the measured sigma"),
-        "command": (command_density, "m^2/s^2/Hz", "spectral density of the robust command u"),
-        "gain": (gain, "1", "gain from the error of the measured sigma to u"),
+        "noise": (noise_density, units.of("y^2/Hz"), "spectral density of the error of the measured sigma"),
+        "command": (command_density, units.of("u^2/Hz"), "spectral density of the robust command u"),
+        "gain": (gain, units.of("u/y"), "gain from the error of the measured sigma to u"),
         "coherence": (cross**2 / (noise_density * command_density), "1", "share of u that the noise explains"),
     }
     variables = {}
@@ -55,12 +59,12 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
     return xr.Dataset(
         variables,
         coords={"frequency": (("frequency",), frequency, unit_and_meaning("Hz", "frequency"))},
-        attrs={"amplification": float(np.sqrt(np.sum(gain**2 * noise_density) / np.sum(noise_density)))},
+        attrs={"amplification": float(amplification)},
     )
 
 
-def noise_and_command(run: xr.Dataset, channel: str, after: float) -> tuple[np.ndarray, np.ndarray]:
-    """The error of the measured sigma and the robust command over time, shape (samples,) each.
+def noise_and_command(run: xr.Dataset, channel: str, after: float) -> tuple[xr.DataArray, xr.DataArray]:
+    """The error of the measured sigma and the robust command over time, shape (samples,) each, with their units.
 
     Args:
         run: A trajectory with every sample.
@@ -75,8 +79,9 @@ def noise_and_command(run: xr.Dataset, channel: str, after: float) -> tuple[np.n
         channel_names = [str(name).removesuffix("_sigma") for name in run.data_vars if str(name).endswith("_sigma")]
         raise ConfigError("channel", f"'{channel}' is no channel of this trajectory; {nearest(channel, channel_names)}")
     late_samples = run.where(run["t"] >= after, drop=True)
-    noise = (late_samples[f"{prefix}sigma_measured"] - late_samples[f"{prefix}sigma"]).values
-    command = late_samples[f"{prefix}u"].values
+    measured = late_samples[f"{prefix}sigma_measured"]
+    noise = measured.copy(data=measured - late_samples[f"{prefix}sigma"])
+    command = late_samples[f"{prefix}u"]
     if noise.size < FEWEST_SEGMENTS * SEGMENT or not np.all(np.isfinite(command)):
         rule = f"needs {FEWEST_SEGMENTS * SEGMENT:,} finite samples after {after:g} s"
         raise ConfigError("run", f"{rule}, got {np.count_nonzero(np.isfinite(command)):,}")
