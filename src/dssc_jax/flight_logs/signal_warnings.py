@@ -27,6 +27,7 @@ WarningCode: TypeAlias = Literal[
     "exchanged-columns",
     "faster-controller",
     "filtered-command",
+    "filtered-output",
     "held-command",
     "held-output",
     "initial-output",
@@ -69,6 +70,7 @@ WarningCode: TypeAlias = Literal[
 EXPLANATIONS: tuple[WarningCode, ...] = (
     "delayed-command",
     "delayed-output",
+    "filtered-output",
     "missing-dead-zone",
     "missing-force",
     "missing-lag",
