@@ -134,8 +134,8 @@ def offset_warning(offset: float, logged: Refit, mended: Refit, fall: ResidualFa
         moves = ""
     text = (
         f"{name} has a constant of {offset:.4g} {command} that the vehicle did not answer: the analysed controller "
-        "gives the logged command without it, as where a log has the whole thrust with that at hover, or where an integral "
-        "held a steady wind before the log began. Without it the "
+        "gives the logged command without it, as where a log has the whole thrust with that at hover, or where an "
+        "integral held a steady wind before the log began. Without it the "
         f"residual of {y}{fall.words} falls from {fall.before:.3g} to {fall.after:.3g} {unit} rms"
         f"{moves}. Give the column of {name} an offset of {-offset:.4g}"
     )
