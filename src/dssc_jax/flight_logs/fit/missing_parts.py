@@ -46,7 +46,8 @@ class Part(NamedTuple):
 
     Args:
         code: Code of its warning.
-        words: What it is, with ``{size}``, ``{percent}``, ``{verb}``, ``{output}`` and ``{command}`` to be filled in.
+        words: What it is, with ``{size}``, ``{percent}``, ``{deviation}``, ``{acceleration}``, ``{verb}``, ``{output}``
+            and ``{command}`` to be filled in.
         remedy: What to do.
         actuator: Its model, if it is one of an actuator.
         commands: (Flight, size) -> commands that a plant with the part gets, shape (n,).
@@ -54,6 +55,7 @@ class Part(NamedTuple):
         is_positive: Whether only positive sizes are possible, whose logarithms are fitted.
         is_possible: (Flight, size) -> whether the size means something on this flight.
         choices: Number of such parts of which it is the likeliest.
+        has_speed: Whether its commands depend on the speed of the flight.
         outputs: (Series, samples) -> what the log has of a predicted output for a size in samples, shape (..., n);
             None: the output itself.
     """
@@ -67,6 +69,7 @@ class Part(NamedTuple):
     is_positive: bool
     is_possible: Callable[[Flight, float], bool]
     choices: int = 1
+    has_speed: bool = False
     outputs: Callable[[np.ndarray, float], np.ndarray] | None = None
 
 
@@ -274,24 +277,27 @@ TWIN_LAGS = (ACTUATOR_LAG, FILTERED_OUTPUT)
 PARTS = (
     Part(
         code="missing-force",
-        words="a force against the speed that grows with the square of the speed (drag, {size:.3g} {command} at "
-        "1 {output}/s)",
+        words="a force against the speed that grows with the square of the speed (drag, {size:.3g} ± {deviation:.2g} "
+        "{command} at 1 {output}/s{acceleration})",
         remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
         actuator=None,
         commands=dragged,
         sizes=drag_sizes,
         is_positive=False,
         is_possible=is_against,
+        has_speed=True,
     ),
     Part(
         code="missing-force",
-        words="a force against the speed of constant size (friction, {size:.3g} {command})",
+        words="a force against the speed of constant size (friction, {size:.3g} ± {deviation:.2g} {command}"
+        "{acceleration})",
         remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
         actuator=None,
         commands=rubbed,
         sizes=force_sizes,
         is_positive=False,
         is_possible=is_against,
+        has_speed=True,
     ),
     STEADY_WIND,
     ACTUATOR_LAG,
@@ -357,19 +363,6 @@ LATE_OUTPUT = Part(
 LATE_COMMAND = LATE_OUTPUT._replace(
     code="delayed-command", words="a command that acts {size:.3g} s late", commands=late, outputs=None
 )
-
-
-def part_text(part: Part, size: float, output: str, command: str) -> str:
-    """What a part is, in words.
-
-    Args:
-        part: The part.
-        size: Its size.
-        output: Unit of the output.
-        command: Unit of the command.
-    """
-    verb = "falls" if size > 0.0 else "rises"
-    return part.words.format(size=size, percent=100.0 * abs(size), verb=verb, output=output, command=command)
 
 
 def lacking_parts(study: Study) -> list[Part]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.flight_logs.fit.filtered_outputs import lies_behind_rate
-from dssc_jax.flight_logs.fit.flown_course import flown
+from dssc_jax.flight_logs.fit.flown_course import Flight, flown, flown_with
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.missing_parts import (
@@ -21,9 +21,9 @@ from dssc_jax.flight_logs.fit.missing_parts import (
     LATE_OUTPUT,
     TWIN_LAGS,
     lacking_parts,
-    part_text,
 )
-from dssc_jax.flight_logs.fit.part_fits import PartFit, fit_without_part, fitted_part
+from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, fit_without_part, fitted_part
+from dssc_jax.flight_logs.fit.part_texts import part_text
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refits import Refit
 from dssc_jax.flight_logs.fit.refusals import MOST_UNEXPLAINED, MUCH_LARGER, Explained, signal_and_unit
@@ -33,6 +33,7 @@ from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 NEARLY = 10.0  # difference of twice the log likelihood (Kass and Raftery's very strong evidence) between two causes
 EQUALLY = 2.0  # the same, of causes of which none is likelier (not worth more than a bare mention)
+ROUNDS = 3  # of fits with a force against the speed, each at the speed of the one before
 LARGE_PART = 0.5  # share of a refused residual that may be left if a part explains it
 SMALL_PART = 0.05  # share of a residual that is left if a part explains nearly all of it, whatever the noise
 EXPLAINED = 0.7  # share of a doubtful residual that is left if a part explains it, whatever it moves
@@ -106,11 +107,12 @@ def part_causes(
         if fit is not None:
             delays.append(fit)
     certain = distinguished(certain, problem.log.signals[0], flight.sample_time)
-    best = likeliest(certain)
+    best = settled(problem, without, flight, likeliest(certain))
     delay_gain = max((fit.gain for fit in delays), default=-math.inf)
     if has_delay and best.gain < delay_gain - NEARLY:
         return None
-    rivals = [fit for fit in (*certain, *delays) if fit is not best and fit.gain > best.gain - NEARLY]
+    others = [fit for fit in (*certain, *delays) if fit.part is not best.part]
+    rivals = [fit for fit in others if fit.gain > best.gain - NEARLY]
     rivals.sort(key=lambda fit: -fit.gain)
     return PartCauses(best, rivals, best.gain > delay_gain + NEARLY)
 
@@ -122,6 +124,24 @@ def likeliest(fits: list[PartFit]) -> PartFit:
         if best.part in TWIN_LAGS and fit.part is ACTUATOR_LAG and fit.gain > best.gain - EQUALLY:
             return fit
     return best
+
+
+def settled(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:
+    """The fit of a force against the speed at the speed that this force leaves, where that explains the flight better.
+
+    Args:
+        problem: The problem, with the noise of its minimum.
+        without: The fit without a part.
+        flight: The flight by the speed without the force.
+        fit: The fit with the force at that speed.
+    """
+    for _ in range(ROUNDS if fit.part.has_speed else 0):
+        flight = flown_with(problem, fit.x, fit.part.commands(flight, fit.size)[None, :])
+        again = fitted_part(problem, without, flight, fit.part)
+        if again is None or again.gain <= fit.gain:
+            break
+        fit = again
+    return fit
 
 
 def distinguished(fits: list[PartFit], signals: Mapping[str, np.ndarray], sample_time: float) -> list[PartFit]:
@@ -217,14 +237,14 @@ def doubt_of_refusal(problem: FitProblem, result: Explained, causes: PartCauses)
         causes: The parts.
     """
     signal, _ = signal_and_unit(problem, 0)
-    output, command = problem.study.units[0].output, problem.study.units[0].command
+    output = problem.study.units[0].output
     best = causes.best
     text = (
-        f"{part_text(best.part, best.size, output, command)}, which the study lacks, leaves {best.residual:.3g} "
+        f"{part_text(problem, best)}, which the study lacks, leaves {best.residual:.3g} "
         f"{output} rms of the residual of {signal} (p = {best.p_value:.1g})"
     )
     for rival in causes.rivals:
-        text += f"; {part_text(rival.part, rival.size, output, command)} leaves {rival.residual:.3g} {output}"
+        text += f"; {part_text(problem, rival)} leaves {rival.residual:.3g} {output}"
     if best.residual > MUCH_LARGER * result.limit:
         text += ". That is still more than noise explains: another part may resemble this one"
     return SignalWarning(signal, best.part.code, f"{text[0].upper()}{text[1:]}. {remedy_of(causes)}")
@@ -270,13 +290,13 @@ def doubt_of(
     best = causes.best
     place = problem.fitted[int(np.argmax(np.abs(best.x - minimum.x)[problem.fitted] / deviations))]
     signal, _ = signal_and_unit(problem, 0)
-    output, command = problem.study.units[0].output, problem.study.units[0].command
+    output = problem.study.units[0].output
     name = problem.names[place]
     others = ""
     for rival in causes.rivals:
-        words = part_text(rival.part, rival.size, output, command)
+        words = part_text(problem, rival)
         others += f"; {words} {comparison(rival, best)}, with a {name} of {problem.values(rival.x)[place]:.4g}"
-    words = part_text(best.part, best.size, output, command)
+    words = part_text(problem, best)
     explains = (
         f"{words}, which the study lacks, would explain part of the residual of {signal} (p = {best.p_value:.1g})"
     )

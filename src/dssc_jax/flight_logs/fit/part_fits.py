@@ -89,6 +89,7 @@ class PartFit(NamedTuple):
     Args:
         part: The part.
         size: Its size.
+        deviation: Standard deviation of the size.
         x: Coordinates of the numbers with it, shape (p,).
         gain: How much it adds to twice the logarithm of the likelihood, less twice that of the parts from which it is
             chosen.
@@ -99,6 +100,7 @@ class PartFit(NamedTuple):
 
     part: Part
     size: float
+    deviation: float
     x: np.ndarray
     gain: float
     p_value: float
@@ -185,6 +187,13 @@ class PartProblem:
             points.append(point._replace(x=x + step))
         return points[int(np.argmin(costs))]
 
+    def deviation(self, point: PartPoint, products: np.ndarray) -> float:
+        """The standard deviation of the size at a minimum, by the products of residual and slopes over the variance."""
+        information = products[1:, 1:] + np.diag(np.append(self.problem.prior, 0.0))
+        variance = float(np.linalg.pinv(information, hermitian=True)[-1, -1])
+        slope = self.size(point) if self.part.is_positive else point.scale
+        return abs(slope) * math.sqrt(max(variance, 0.0))
+
     def minimum(self, point: PartPoint, noise: Noise, variance: float) -> PartPoint:
         """Steps of Gauss and Newton from a point on, under a noise; one that does not lower the squares is halved."""
         prior = np.append(self.problem.prior, 0.0)
@@ -262,5 +271,12 @@ def fitted_part(problem: FitProblem, without: FitWithoutPart, flight: Flight, pa
     if not math.isfinite(gain) or not part.is_possible(flight, size):
         return None
     return PartFit(
-        part, size, point.x, gain - 2.0 * math.log(part.choices), min(1.0, p_value), rms(columns[:, 0]), noise
+        part=part,
+        size=size,
+        deviation=part_problem.deviation(point, products / fit.variance),
+        x=point.x,
+        gain=gain - 2.0 * math.log(part.choices),
+        p_value=min(1.0, p_value),
+        residual=rms(columns[:, 0]),
+        noise=noise,
     )
