@@ -18,6 +18,7 @@ from dssc_jax.flight_logs.hints.measured_rates import mended_rate
 from dssc_jax.flight_logs.hints.other_gains import CLEARLY, other_gain, other_gain_hint
 from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
 from dssc_jax.flight_logs.hints.output_steps import is_reference
+from dssc_jax.flight_logs.hints.replayed_clocks import replayed_clock
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
 from dssc_jax.flight_logs.hints.replayed_references import moved_reference
 from dssc_jax.flight_logs.hints.rounded_outputs import rounded_output_hint
@@ -191,6 +192,10 @@ def add_command_hints(
         if hint is not None and OPEN_CAUSE in hint.text:
             gain = other_gain(replay, signals, command)
             hint = hint if gain is None else other_gain_hint(gain, channel.units.of("u"))
+            clock = None if gain is not None else replayed_clock(replay, signals, command)
+            if clock is not None:
+                hints.shifts[y_ref] = clock
+                hint = None
     slope = hints.slopes.get(channel.signal("y_ref_dot"))
     is_explained = slope is not None and slope.code == "wrong-scale"
     if hint is not None and not (is_explained and hint.code == "another-command"):
