@@ -52,6 +52,8 @@ PARTS = (
     "Give the plant that force",
     "Give the study that force",
     "Give the study that {} with a law",
+    "Give the study that lag with a law",
+    "The logged y lies as much behind",
     "Log the command times the gain",
 )
 PASSED_ON = ("output-likeness", "clock-rate", "row-numbers", "repeated-times")  # other modules word the message

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from dssc_jax.study import Study
 
 REPLAY_SHARE = 0.95
 """Share of the samples at which a replay needs the measured output."""
+NO_NUMBERS: Mapping[str, float] = MappingProxyType({})
 REFERENCE_TOLERANCE = 1e-3  # share of a reference's size: resolution and rounding of a log
 
 
@@ -41,10 +43,12 @@ class ChannelReplay:
         self.sample_time = study.loop.sample_time if sample_time is None else sample_time
         self._compiled = jax.jit(self._commands, compiler_options=plain_options())
 
-    def _commands(self, columns: tuple[Measurement, ReferencePoint]) -> jax.Array:
+    def _commands(
+        self, columns: tuple[Measurement, ReferencePoint], numbers: Mapping[str, jax.Array | float]
+    ) -> jax.Array:
         """The command at each sample; every field of the columns has the shape (samples,)."""
         loop = replace(self.study.loop, sample_time=self.sample_time)
-        params = self.study.params(median_values(self.study))
+        params = self.study.params({**median_values(self.study), **numbers})
 
         def sample(state: ControlState, signals: tuple[Measurement, ReferencePoint]) -> tuple[ControlState, jax.Array]:
             """One sample: the controller's state after it, and its command."""
@@ -55,12 +59,15 @@ class ChannelReplay:
         initial = as_arrays(initial_control(loop, params, self.index, *first))
         return jax.lax.scan(sample, initial, columns)[1]
 
-    def raw_command(self, readings: np.ndarray, references: np.ndarray) -> np.ndarray:
+    def raw_command(
+        self, readings: np.ndarray, references: np.ndarray, numbers: Mapping[str, float] = NO_NUMBERS
+    ) -> np.ndarray:
         """Compute the command for measurements and desired outputs.
 
         Args:
             readings: Measured output and its derivative, shape (2, samples).
             references: Desired output with two derivatives, shape (3, samples).
+            numbers: Numbers of the study that have other values.
 
         Returns:
             The command u + u_n, shape (samples,).
@@ -74,15 +81,16 @@ class ChannelReplay:
             real = jnp.result_type(float)
             measurement = Measurement(*jnp.asarray(readings, real))
             reference = ReferencePoint(*jnp.asarray(references, real))
-            return np.asarray(self._compiled((measurement, reference)), float)
+            return np.asarray(self._compiled((measurement, reference), dict(numbers)), float)
 
-    def command(self, logged: Mapping[str, np.ndarray]) -> np.ndarray | str:
+    def command(self, logged: Mapping[str, np.ndarray], numbers: Mapping[str, float] = NO_NUMBERS) -> np.ndarray | str:
         """The command for a channel's sampled log, or why there is none.
 
         The study's reference fills in for the log's, if the logged reference agrees with it.
 
         Args:
             logged: Signals by their names without the channel, NaN where missing, each of shape (samples,).
+            numbers: Numbers of the study that have other values.
 
         Returns:
             The command, shape (samples,), or the reason in words.
@@ -107,7 +115,7 @@ class ChannelReplay:
             signals[name] = np.full(len(signals["y"]), np.nan)
         readings = np.array([signals["y"], signals["y_dot"]])
         desired = np.array([signals["y_ref"], signals["y_ref_dot"], signals["y_ref_ddot"]])
-        command = self.raw_command(readings, desired)
+        command = self.raw_command(readings, desired, numbers)
         if np.isfinite(command).all():
             return command
         if missing:

@@ -27,6 +27,7 @@ WarningCode: TypeAlias = Literal[
     "exchanged-columns",
     "faster-controller",
     "filtered-command",
+    "filtered-output",
     "held-command",
     "held-output",
     "initial-output",
@@ -69,6 +70,7 @@ WarningCode: TypeAlias = Literal[
 EXPLANATIONS: tuple[WarningCode, ...] = (
     "delayed-command",
     "delayed-output",
+    "filtered-output",
     "missing-dead-zone",
     "missing-force",
     "missing-lag",
@@ -186,8 +188,15 @@ def hedged(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
 
 
 def joined_warnings(of_replay: Iterable[SignalWarning], of_fit: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
-    """The warnings of a replay and a fit, causes first; what both tell of a signal is told as the fit has it."""
+    """The warnings of a replay and a fit, causes first; what both tell of a signal is told as the fit has it.
+
+    A fit tells a constant in the command where the vehicle did not answer it. So it is the first of the causes, and no
+    effect of another one.
+    """
     fitted = tuple(of_fit)
     told = {(warning.signal, warning.code) for warning in fitted}
     remaining = [warning for warning in of_replay if (warning.signal, warning.code) not in told]
-    return causes_first(hedged((*remaining, *fitted)))
+    all_warnings = causes_first(hedged((*remaining, *fitted)))
+    mended = [warning for warning in fitted if warning.code == "command-offset"]
+    others = [warning for warning in all_warnings if warning not in mended]
+    return (*mended, *others)

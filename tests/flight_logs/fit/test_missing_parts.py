@@ -363,8 +363,9 @@ def test_commands_behind_a_limit_and_a_dead_zone():
 
 def test_a_study_with_a_part_gets_no_second_one():
     codes = [part.code for part in lacking_parts(linear())]
+    forces = ["missing-force"] * 3
     limits = ["missing-limit", "missing-limit", "missing-dead-zone", "missing-rounding"]
-    assert codes == ["missing-force", "missing-force", "missing-force", "missing-lag", *limits, "changing-gain"]
+    assert codes == [*forces, "missing-lag", "filtered-output", *limits, "changing-gain"]
     with_lag = linear(unmodelled={"kind": "lag", "mu": 0.05})
     assert "missing-lag" not in [part.code for part in lacking_parts(with_lag)]
     chain = [
@@ -375,4 +376,4 @@ def test_a_study_with_a_part_gets_no_second_one():
         {"kind": "quantisation", "resolution": 0.1},
     ]
     codes = [part.code for part in lacking_parts(linear(actuator=chain))]
-    assert codes == ["missing-force", "missing-force", "missing-force", "changing-gain"]
+    assert codes == [*forces, "filtered-output", "changing-gain"]

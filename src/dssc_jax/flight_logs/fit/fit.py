@@ -27,6 +27,7 @@ from dssc_jax.flight_logs.fit.command_gaps import (
     held_doubts,
     with_commands,
 )
+from dssc_jax.flight_logs.fit.command_offsets import MendedCommand, mended_command
 from dssc_jax.flight_logs.fit.declared_noise import declared_covariance, larger_covariance
 from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinimum, correlation_doubts
 from dssc_jax.flight_logs.fit.first_integrals import free_integrals, require_first_integrals
@@ -239,6 +240,9 @@ def refusal_causes(
         best: Its minimum.
         results: How well each channel is described.
     """
+    mended = mended_command(problem, best, results)
+    if mended is not None:
+        return causes_beside_offset(mended), mended.leaves_noise
     doubts_of_outliers = outlier_doubts(problem, best.x)
     doubts_of_dropouts = dropout_doubts(problem, best)
     doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, best, results)
@@ -257,6 +261,12 @@ def refusal_causes(
         *parts.warnings,
     )
     return hedged(causes), parts.residual <= results[0].limit
+
+
+def causes_beside_offset(mended: MendedCommand) -> tuple[SignalWarning, ...]:
+    """A constant in the command, and the likely causes of what the log without it leaves, if that is not noise."""
+    others = () if mended.leaves_noise else refusal_causes(mended.problem, mended.minimum, mended.results)[0]
+    return (mended.warning, *(warning for warning in others if warning.code != "command-offset"))
 
 
 def fitted_minimum(
@@ -283,8 +293,10 @@ def fitted_minimum(
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
-    doubts_of_dropouts = dropout_doubts(problem, search.best)
-    doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, search.best, results)
+    mended = mended_command(problem, search.best, results)
+    doubts_of_dropouts = () if mended is not None else dropout_doubts(problem, search.best)
+    has_cause = bool(doubts_of_dropouts) or mended is not None
+    doubts_of_delays = doubts_of_dropouts if has_cause else delay_doubts(problem, search.best, results)
     covariance = averaged_covariance(problem, posteriors, x)
     covariance = widening(rough) * larger_covariance(covariance, declared_covariance(problem, search.best))
     covariance = covariance[np.ix_(fitted, fitted)]
@@ -299,16 +311,18 @@ def fitted_minimum(
         raise refusal.with_reasons(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
     parts = NO_DOUBTS
-    if not doubts_of_dropouts:
+    if not has_cause:
         deviations = np.sqrt(np.diag(covariance))
         parts = part_doubts(problem, search.best, deviations, results[0], bool(doubts_of_delays))
     if parts.exceeds_delays:
         doubts_of_delays = ()
-    doubts_of_outliers = outlier_doubts(problem, x)
-    doubts_of_start = output_start_doubts(problem, x, results)
+    doubts_of_outliers = () if mended is not None else outlier_doubts(problem, x)
+    doubts_of_start = () if mended is not None else output_start_doubts(problem, x, results)
     is_doubtful = any(result.is_doubtful for result in results)
     is_noise = parts.residual <= results[0].limit  # with a part, which leaves nothing to another start
-    if is_doubtful and not is_noise and not doubts_of_delays and not doubts_of_outliers:  # which a start explains
+    if (
+        is_doubtful and mended is None and not is_noise and not doubts_of_delays and not doubts_of_outliers
+    ):  # which a start explains
         doubts_of_speed = start_speed_doubts(problem, search.best, parts.residual)
         if doubts_of_speed:
             doubts_of_start, parts = doubts_of_speed, NO_DOUBTS
@@ -316,6 +330,7 @@ def fitted_minimum(
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     noise_by_channel = dict(zip(channels, noises, strict=True))
     doubts_of_residuals = (
+        *(causes_beside_offset(mended) if mended is not None else ()),
         *doubts(problem, x, results),
         *doubts_of_start,
         *doubts_of_outliers,

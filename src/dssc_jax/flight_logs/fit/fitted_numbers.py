@@ -6,13 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.flight_logs.fit.filtered_outputs import has_sensor_lag
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.prediction import RANDOM
 from dssc_jax.study import Study
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
-"""Parts of a study whose numbers show in the output for given commands."""
+"""Parts of a study whose numbers show in the output for given commands, beside the lag of a sensor."""
 
 
 def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
@@ -27,11 +28,22 @@ def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
     names = []
     for name, law in study.laws.items():
         paths = [follower.split(".") for follower in study.followers(name)]
-        if law.movable and any(fields[0] in PLANT_SLOTS and fields[-1] not in RANDOM for fields in paths):
+        if law.movable and any(shows(study, fields) for fields in paths):
             names.append(name)
     if not names:
         raise ConfigError(study.source, f"has no law of {', '.join(PLANT_SLOTS)}: give a number a law to be fitted")
     return names
+
+
+def shows(study: Study, fields: Sequence[str]) -> bool:
+    """Whether a number shows in the output for given commands.
+
+    Args:
+        study: The study.
+        fields: The parts of its dotted name.
+    """
+    is_sensor_lag = fields[0] == "sensor" and fields[-1] == "mu" and has_sensor_lag(study)
+    return is_sensor_lag or (fields[0] in PLANT_SLOTS and fields[-1] not in RANDOM)
 
 
 def require_stated_times(study: Study, fitted_names: Sequence[str]) -> None:

@@ -18,7 +18,7 @@ class Flight(NamedTuple):
 
     Args:
         commands: Commands [u], shape (n,).
-        speed: Speeds of the output, shape (n,).
+        speed: Mean speeds of the output over each sample, shape (n,).
         sample_time: Time between two samples [s].
     """
 
@@ -28,14 +28,24 @@ class Flight(NamedTuple):
 
 
 def flown(problem: FitProblem, minimum: Minimum) -> Flight:
-    """The flight at a minimum of a problem of one channel.
+    """The flight at a minimum of a problem of one channel."""
+    return flown_with(problem, minimum.x, problem.log.commands)
+
+
+def flown_with(problem: FitProblem, x: np.ndarray, commands: np.ndarray) -> Flight:
+    """The flight at coordinates of a problem of one channel, by the speed that certain commands give.
 
     The speed is that of the predicted output, and of the residual where this is more than noise: gusts that the study
     declares move the vehicle, too.
+
+    Args:
+        problem: The problem.
+        x: The coordinates, shape (p,).
+        commands: The commands that the plant gets, shape (1, samples).
     """
     sample_time = problem.study.loop.sample_time
     (readings,) = problem.readings
-    predicted, _ = problem.predict(problem.values(minimum.x), problem.log.commands)
+    predicted, _ = problem.predict(problem.values(x), commands)
     output = predicted[readings.channel]
     speed = np.gradient(output, sample_time)
     residual = readings.values - readings.interpolate(output)
@@ -45,7 +55,8 @@ def flown(problem: FitProblem, minimum: Minimum) -> Flight:
     half_width = slope_half_width(noise, sample_time * spacing, SPEED_ERROR * rms(speed))
     sampled = np.interp(times, readings.times, residual)
     speed = speed + slopes(sampled, round(half_width * spacing)) / sample_time
-    return Flight(problem.log.commands[readings.channel], speed, sample_time)
+    means = np.append(0.5 * (speed[1:] + speed[:-1]), speed[-1])  # a force is held over a sample, as commands are
+    return Flight(problem.log.commands[readings.channel], means, sample_time)
 
 
 def slope_half_width(noise: float, gap: float, error: float) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.flight_logs.fit.actuated_commands import actuated_commands
+from dssc_jax.flight_logs.fit.filtered_outputs import filtered, has_sensor_lag
 from dssc_jax.flight_logs.fit.flown_course import Flight
 from dssc_jax.flight_logs.fit.least_squares import TINY
 from dssc_jax.flight_logs.fit.prediction import declares_noise
@@ -45,7 +46,8 @@ class Part(NamedTuple):
 
     Args:
         code: Code of its warning.
-        words: What it is, with ``{size}``, ``{percent}``, ``{verb}``, ``{output}`` and ``{command}`` to be filled in.
+        words: What it is, with ``{size}``, ``{percent}``, ``{deviation}``, ``{acceleration}``, ``{verb}``, ``{output}``
+            and ``{command}`` to be filled in.
         remedy: What to do.
         actuator: Its model, if it is one of an actuator.
         commands: (Flight, size) -> commands that a plant with the part gets, shape (n,).
@@ -53,6 +55,9 @@ class Part(NamedTuple):
         is_positive: Whether only positive sizes are possible, whose logarithms are fitted.
         is_possible: (Flight, size) -> whether the size means something on this flight.
         choices: Number of such parts of which it is the likeliest.
+        has_speed: Whether its commands depend on the speed of the flight.
+        outputs: (Series, samples) -> what the log has of a predicted output for a size in samples, shape (..., n);
+            None: the output itself.
     """
 
     code: WarningCode
@@ -64,6 +69,8 @@ class Part(NamedTuple):
     is_positive: bool
     is_possible: Callable[[Flight, float], bool]
     choices: int = 1
+    has_speed: bool = False
+    outputs: Callable[[np.ndarray, float], np.ndarray] | None = None
 
 
 def quadratic_drag(speed: np.ndarray) -> np.ndarray:
@@ -107,7 +114,7 @@ def late(flight: Flight, size: float) -> np.ndarray:
 
 
 def on_time(flight: Flight, size: float) -> np.ndarray:
-    """The commands themselves, of a log whose outputs are late."""
+    """The commands themselves, of a log whose outputs are late or filtered."""
     return flight.commands
 
 
@@ -246,32 +253,55 @@ STEADY_WIND = Part(
     is_possible=is_any,
 )
 
+ACTUATOR_LAG = actuator_part(
+    "missing-lag", "a first-order lag of the actuator of {size:.3g} s", "lag", lag(Order.ONE), lag_sizes, is_short
+)
+FILTERED_OUTPUT = Part(
+    code="filtered-output",
+    words="a first-order lag of the sensor of {size:.3g} s",
+    remedy='Give the study that lag with a law (sensor, kind = "lag"), or log the measurement before the filter',
+    actuator=None,
+    commands=on_time,
+    sizes=lag_sizes,
+    is_positive=True,
+    is_possible=is_short,
+    outputs=filtered,
+)
+FILTERED_ALONE = FILTERED_OUTPUT._replace(
+    words="a low pass of y alone of {size:.3g} s",
+    remedy="The logged y lies as much behind the integral of the logged y_dot: log y before that filter",
+)
+TWIN_LAGS = (ACTUATOR_LAG, FILTERED_OUTPUT)
+"""Lags that act alike on a flight from rest."""
+
 PARTS = (
     Part(
         code="missing-force",
-        words="a force against the speed that grows with the square of the speed (drag, {size:.3g} {command} at "
-        "1 {output}/s)",
+        words="a force against the speed that grows with the square of the speed (drag, {size:.3g} ± {deviation:.2g} "
+        "{command} at 1 {output}/s{acceleration})",
         remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
         actuator=None,
         commands=dragged,
         sizes=drag_sizes,
         is_positive=False,
         is_possible=is_against,
+        has_speed=True,
     ),
     Part(
         code="missing-force",
-        words="a force against the speed of constant size (friction, {size:.3g} {command})",
+        words="a force against the speed of constant size (friction, {size:.3g} ± {deviation:.2g} {command}"
+        "{acceleration})",
         remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
         actuator=None,
         commands=rubbed,
         sizes=force_sizes,
         is_positive=False,
         is_possible=is_against,
+        has_speed=True,
     ),
     STEADY_WIND,
-    actuator_part(
-        "missing-lag", "a first-order lag of the actuator of {size:.3g} s", "lag", lag(Order.ONE), lag_sizes, is_short
-    ),
+    ACTUATOR_LAG,
+    FILTERED_OUTPUT,
     actuator_part(
         "missing-limit",
         "an actuator that limits the command to {size:.3g} {command} either side of 0",
@@ -328,23 +358,11 @@ LATE_OUTPUT = Part(
     sizes=lag_sizes,
     is_positive=True,
     is_possible=is_short,
+    outputs=delayed,
 )
 LATE_COMMAND = LATE_OUTPUT._replace(
-    code="delayed-command", words="a command that acts {size:.3g} s late", commands=late
+    code="delayed-command", words="a command that acts {size:.3g} s late", commands=late, outputs=None
 )
-
-
-def part_text(part: Part, size: float, output: str, command: str) -> str:
-    """What a part is, in words.
-
-    Args:
-        part: The part.
-        size: Its size.
-        output: Unit of the output.
-        command: Unit of the command.
-    """
-    verb = "falls" if size > 0.0 else "rises"
-    return part.words.format(size=size, percent=100.0 * abs(size), verb=verb, output=output, command=command)
 
 
 def lacking_parts(study: Study) -> list[Part]:
@@ -359,6 +377,7 @@ def lacking_parts(study: Study) -> list[Part]:
     for part in PARTS:
         is_lag = part.actuator is not None and part.actuator.linear is not None
         has_actuator = any(model is part.actuator for model in models) or (is_lag and has_linear_actuator)
-        if not has_actuator and not (part is STEADY_WIND and has_force):
+        has_lag = part is FILTERED_OUTPUT and has_sensor_lag(study)
+        if not has_actuator and not has_lag and not (part is STEADY_WIND and has_force):
             parts.append(part)
     return parts

@@ -4,16 +4,26 @@ A delay and a lag of the same time move the outputs alike, so delays are compare
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.flight_logs.fit.flown_course import flown
+from dssc_jax.flight_logs.fit.filtered_outputs import lies_behind_rate
+from dssc_jax.flight_logs.fit.flown_course import Flight, flown, flown_with
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
-from dssc_jax.flight_logs.fit.missing_parts import LATE_COMMAND, LATE_OUTPUT, lacking_parts, part_text
-from dssc_jax.flight_logs.fit.part_fits import PartFit, fit_without_part, fitted_part
+from dssc_jax.flight_logs.fit.missing_parts import (
+    ACTUATOR_LAG,
+    FILTERED_ALONE,
+    FILTERED_OUTPUT,
+    LATE_COMMAND,
+    LATE_OUTPUT,
+    TWIN_LAGS,
+    lacking_parts,
+)
+from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, fit_without_part, fitted_part
+from dssc_jax.flight_logs.fit.part_texts import part_text
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refits import Refit
 from dssc_jax.flight_logs.fit.refusals import MOST_UNEXPLAINED, MUCH_LARGER, Explained, signal_and_unit
@@ -22,6 +32,8 @@ from dssc_jax.flight_logs.fit.wind_steps import fitted_wind_step, lacks_wind_ste
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 NEARLY = 10.0  # difference of twice the log likelihood (Kass and Raftery's very strong evidence) between two causes
+EQUALLY = 2.0  # the same, of causes of which none is likelier (not worth more than a bare mention)
+ROUNDS = 3  # of fits with a force against the speed, each at the speed of the one before
 LARGE_PART = 0.5  # share of a refused residual that may be left if a part explains it
 SMALL_PART = 0.05  # share of a residual that is left if a part explains nearly all of it, whatever the noise
 EXPLAINED = 0.7  # share of a doubtful residual that is left if a part explains it, whatever it moves
@@ -80,7 +92,8 @@ def part_causes(
     flight = flown(problem, minimum)
     parts = lacking_parts(problem.study)
     has_step = lacks_wind_step(problem.study)
-    candidates = sum(part.choices == 1 for part in parts) + has_step  # a part of many choices pays for them
+    has_both_lags = all(part in parts for part in TWIN_LAGS)  # which are one cause
+    candidates = sum(part.choices == 1 for part in parts) + has_step - has_both_lags  # many choices pay for themselves
     without = fit_without_part(problem, minimum, candidates, starts)
     fits = [fitted_part(problem, without, flight, part) for part in parts]
     if has_step:
@@ -93,13 +106,62 @@ def part_causes(
         fit = fitted_part(problem, without, flight, part)
         if fit is not None:
             delays.append(fit)
-    best = max(certain, key=lambda fit: fit.gain)
+    certain = distinguished(certain, problem.log.signals[0], flight.sample_time)
+    best = settled(problem, without, flight, likeliest(certain))
     delay_gain = max((fit.gain for fit in delays), default=-math.inf)
     if has_delay and best.gain < delay_gain - NEARLY:
         return None
-    rivals = [fit for fit in (*certain, *delays) if fit is not best and fit.gain > best.gain - NEARLY]
+    others = [fit for fit in (*certain, *delays) if fit.part is not best.part]
+    rivals = [fit for fit in others if fit.gain > best.gain - NEARLY]
     rivals.sort(key=lambda fit: -fit.gain)
     return PartCauses(best, rivals, best.gain > delay_gain + NEARLY)
+
+
+def likeliest(fits: list[PartFit]) -> PartFit:
+    """The fit with the largest gain; of lags that explain a flight equally well, that of the actuator."""
+    best = max(fits, key=lambda fit: fit.gain)
+    for fit in fits:
+        if best.part in TWIN_LAGS and fit.part is ACTUATOR_LAG and fit.gain > best.gain - EQUALLY:
+            return fit
+    return best
+
+
+def settled(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:
+    """The fit of a force against the speed at the speed that this force leaves, where that explains the flight better.
+
+    Args:
+        problem: The problem, with the noise of its minimum.
+        without: The fit without a part.
+        flight: The flight by the speed without the force.
+        fit: The fit with the force at that speed.
+    """
+    for _ in range(ROUNDS if fit.part.has_speed else 0):
+        flight = flown_with(problem, fit.x, fit.part.commands(flight, fit.size)[None, :])
+        again = fitted_part(problem, without, flight, fit.part)
+        if again is None or again.gain <= fit.gain:
+            break
+        fit = again
+    return fit
+
+
+def distinguished(fits: list[PartFit], signals: Mapping[str, np.ndarray], sample_time: float) -> list[PartFit]:
+    """The fits, with the lag of the output alone in place of both lags if the logged derivative shows it.
+
+    Args:
+        fits: The fits.
+        signals: The logged signals of the channel at the samples, NaN where missing.
+        sample_time: Time between two samples [s].
+    """
+    sizes = [fit.size for fit in fits if fit.part is FILTERED_OUTPUT]
+    if not sizes or not lies_behind_rate(signals, sizes[0] / sample_time):
+        return fits
+    alone = []
+    for fit in fits:
+        if fit.part is FILTERED_OUTPUT:
+            alone.append(fit._replace(part=FILTERED_ALONE))
+        elif fit.part is not ACTUATOR_LAG:
+            alone.append(fit)
+    return alone
 
 
 def is_plausible(fit: PartFit, result: Explained) -> bool:
@@ -175,17 +237,33 @@ def doubt_of_refusal(problem: FitProblem, result: Explained, causes: PartCauses)
         causes: The parts.
     """
     signal, _ = signal_and_unit(problem, 0)
-    output, command = problem.study.units[0].output, problem.study.units[0].command
+    output = problem.study.units[0].output
     best = causes.best
     text = (
-        f"{part_text(best.part, best.size, output, command)}, which the study lacks, leaves {best.residual:.3g} "
+        f"{part_text(problem, best)}, which the study lacks, leaves {best.residual:.3g} "
         f"{output} rms of the residual of {signal} (p = {best.p_value:.1g})"
     )
     for rival in causes.rivals:
-        text += f"; {part_text(rival.part, rival.size, output, command)} leaves {rival.residual:.3g} {output}"
+        text += f"; {part_text(problem, rival)} leaves {rival.residual:.3g} {output}"
     if best.residual > MUCH_LARGER * result.limit:
         text += ". That is still more than noise explains: another part may resemble this one"
-    return SignalWarning(signal, best.part.code, f"{text[0].upper()}{text[1:]}. {best.part.remedy}")
+    return SignalWarning(signal, best.part.code, f"{text[0].upper()}{text[1:]}. {remedy_of(causes)}")
+
+
+def comparison(rival: PartFit, best: PartFit) -> str:
+    """How well a rival explains the flight beside the best part, in words."""
+    if abs(rival.gain - best.gain) < EQUALLY:
+        return "explains it equally well"
+    return "explains it better" if rival.gain > best.gain else "explains it nearly as well"
+
+
+def remedy_of(causes: PartCauses) -> str:
+    """What to do about the best part; of two lags, about the right one."""
+    remedy = causes.best.part.remedy
+    others = [rival.part for rival in causes.rivals if rival.part in TWIN_LAGS]
+    if causes.best.part not in TWIN_LAGS or not others:
+        return remedy
+    return f"This flight does not tell which of the two lags it is. {remedy}. For the other one: {others[0].remedy}"
 
 
 def largest_move(problem: FitProblem, minimum: Minimum, fit: PartFit, deviations: np.ndarray) -> float:
@@ -212,14 +290,13 @@ def doubt_of(
     best = causes.best
     place = problem.fitted[int(np.argmax(np.abs(best.x - minimum.x)[problem.fitted] / deviations))]
     signal, _ = signal_and_unit(problem, 0)
-    output, command = problem.study.units[0].output, problem.study.units[0].command
+    output = problem.study.units[0].output
     name = problem.names[place]
     others = ""
     for rival in causes.rivals:
-        words = part_text(rival.part, rival.size, output, command)
-        explains = "explains it better" if rival.gain > best.gain else "explains it nearly as well"
-        others += f"; {words} {explains}, with a {name} of {problem.values(rival.x)[place]:.4g}"
-    words = part_text(best.part, best.size, output, command)
+        words = part_text(problem, rival)
+        others += f"; {words} {comparison(rival, best)}, with a {name} of {problem.values(rival.x)[place]:.4g}"
+    words = part_text(problem, best)
     explains = (
         f"{words}, which the study lacks, would explain part of the residual of {signal} (p = {best.p_value:.1g})"
     )
@@ -233,11 +310,11 @@ def doubt_of(
         text = (
             f"{explains}: with it, {name} is about {problem.values(best.x)[place]:.4g} in place of "
             f"{problem.values(minimum.x)[place]:.4g}{others}. Estimates are wrong by more than their intervals. "
-            f"{best.part.remedy}"
+            f"{remedy_of(causes)}"
         )
     else:
         text = (
             f"{explains}: with it, this falls from {result.residual:.3g} to {best.residual:.3g} {output} rms, and no "
-            f"estimate moves by more than its standard deviation{others}. {best.part.remedy}"
+            f"estimate moves by more than its standard deviation{others}. {remedy_of(causes)}"
         )
     return SignalWarning(signal, best.part.code, text)

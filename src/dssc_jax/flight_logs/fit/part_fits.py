@@ -9,7 +9,7 @@ References:
 """
 
 import math
-from dataclasses import replace
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,8 @@ from scipy import stats
 from dssc_jax.flight_logs.fit.flown_course import Flight
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
-from dssc_jax.flight_logs.fit.missing_parts import LATE_OUTPUT, Part, delayed
+from dssc_jax.flight_logs.fit.missing_parts import Part
+from dssc_jax.flight_logs.fit.prediction import Prediction
 from dssc_jax.flight_logs.fit.shifts import likelihood_of_cost, linear_cost
 from dssc_jax.flight_logs.hints.conversions import rms
 from dssc_jax.statistics.correlated_noise import Noise, weighted_products
@@ -88,6 +89,7 @@ class PartFit(NamedTuple):
     Args:
         part: The part.
         size: Its size.
+        deviation: Standard deviation of the size.
         x: Coordinates of the numbers with it, shape (p,).
         gain: How much it adds to twice the logarithm of the likelihood, less twice that of the parts from which it is
             chosen.
@@ -98,6 +100,7 @@ class PartFit(NamedTuple):
 
     part: Part
     size: float
+    deviation: float
     x: np.ndarray
     gain: float
     p_value: float
@@ -137,8 +140,24 @@ class PartProblem:
 
     def residual_columns(self, point: PartPoint) -> np.ndarray:
         """Residual and slopes by the numbers at a point, shape (n, 1 + p)."""
-        (columns,) = self.problem.columns(point.x, self.commands(point))
+        problem = copy(self.problem)
+        problem.predict = self.prediction(point)
+        (columns,) = problem.columns(point.x, self.commands(point))
         return columns
+
+    def prediction(self, point: PartPoint) -> Prediction:
+        """What the log has of the predicted output."""
+        shown = self.part.outputs
+        if shown is None:
+            return self.problem.predict
+        samples = self.size(point) / self.flight.sample_time
+
+        def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """The prediction, as the log has it."""
+            predicted, slopes = self.problem.predict(values, commands)
+            return shown(predicted, samples), shown(slopes, samples)
+
+        return predict
 
     def commands(self, point: PartPoint) -> np.ndarray:
         """The commands that a plant with the part gets, shape (1, samples)."""
@@ -167,6 +186,13 @@ class PartProblem:
             costs.append(cost)
             points.append(point._replace(x=x + step))
         return points[int(np.argmin(costs))]
+
+    def deviation(self, point: PartPoint, products: np.ndarray) -> float:
+        """The standard deviation of the size at a minimum, by the products of residual and slopes over the variance."""
+        information = products[1:, 1:] + np.diag(np.append(self.problem.prior, 0.0))
+        variance = float(np.linalg.pinv(information, hermitian=True)[-1, -1])
+        slope = self.size(point) if self.part.is_positive else point.scale
+        return abs(slope) * math.sqrt(max(variance, 0.0))
 
     def minimum(self, point: PartPoint, noise: Noise, variance: float) -> PartPoint:
         """Steps of Gauss and Newton from a point on, under a noise; one that does not lower the squares is halved."""
@@ -199,28 +225,6 @@ class PartProblem:
         return float(products[0, 0]) / variance + float(self.problem.prior @ point.x**2)
 
 
-class LateOutputProblem(PartProblem):
-    """The least squares of a log whose outputs are late by the size [s]."""
-
-    def residual_columns(self, point: PartPoint) -> np.ndarray:
-        """Residual and slopes by the numbers at a point, shape (n, 1 + p); the predicted output is late."""
-        samples = self.size(point) / self.flight.sample_time
-
-        def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """The prediction, later."""
-            predicted, slopes = self.problem.predict(values, commands)
-            return delayed(predicted, samples), delayed(slopes, samples)
-
-        (columns,) = replace(self.problem, predict=predict).columns(point.x)
-        return columns
-
-
-def part_problem_of(problem: FitProblem, flight: Flight, part: Part) -> PartProblem:
-    """The least squares with a part."""
-    kind = LateOutputProblem if part is LATE_OUTPUT else PartProblem
-    return kind(problem, flight, part)
-
-
 def bounded_step(products: np.ndarray, prior: np.ndarray, x: np.ndarray, bounded: int) -> np.ndarray:
     """The step of Gauss and Newton by products of the residual and its slopes, of at most 2 in bounded coordinates.
 
@@ -250,7 +254,7 @@ def fitted_part(problem: FitProblem, without: FitWithoutPart, flight: Flight, pa
     """
     (readings,) = problem.readings
     noise, variance = problem.noises[0], problem.variances[0]
-    part_problem = part_problem_of(problem, flight, part)
+    part_problem = PartProblem(problem, flight, part)
     points = [part_problem.minimum(part_problem.start(x), noise, variance) for x in without.starts]
     point = min(points, key=lambda point: part_problem.cost(point, noise, variance))
     if without.minimum.cost - part_problem.cost(point, noise, variance) < LEAST_SCREENED:
@@ -267,5 +271,12 @@ def fitted_part(problem: FitProblem, without: FitWithoutPart, flight: Flight, pa
     if not math.isfinite(gain) or not part.is_possible(flight, size):
         return None
     return PartFit(
-        part, size, point.x, gain - 2.0 * math.log(part.choices), min(1.0, p_value), rms(columns[:, 0]), noise
+        part=part,
+        size=size,
+        deviation=part_problem.deviation(point, products / fit.variance),
+        x=point.x,
+        gain=gain - 2.0 * math.log(part.choices),
+        p_value=min(1.0, p_value),
+        residual=rms(columns[:, 0]),
+        noise=noise,
     )

@@ -20,8 +20,8 @@ from dssc_jax.engine import kernels
 from dssc_jax.engine.evaluation import DIRECTION, require_steps_in_any_order
 from dssc_jax.engine.kernels import Start
 from dssc_jax.engine.sampling import draw_key
+from dssc_jax.flight_logs.fit.filtered_outputs import deterministic_sensors
 from dssc_jax.flight_logs.hints.references import median_values
-from dssc_jax.models.sensors import IDEAL
 from dssc_jax.study import Study
 
 RANDOM = ("std", "turbulence")
@@ -75,9 +75,9 @@ def simulated_outputs(
         names: The numbers that are inputs of the program.
         samples: Number of samples.
         fixed: Values of all numbers, which count for those that are no inputs.
-        sensors: Whether readings are those of the study's sensors, or ideal.
+        sensors: Whether readings are those of the study's sensors, or of their lags alone.
     """
-    channel_sensors = study.loop.sensor if sensors else (IDEAL,) * len(study.loop.channels)
+    channel_sensors = study.loop.sensor if sensors else deterministic_sensors(study)
 
     require_steps_in_any_order(study, "the prediction of a logged flight")
 

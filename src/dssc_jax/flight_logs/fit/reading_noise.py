@@ -9,6 +9,7 @@ from dssc_jax.core.signals import Measurement, Params, Scalar, State
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.fit.refusals import noise_between_neighbours
 from dssc_jax.flight_logs.hints.references import median_values
+from dssc_jax.models.sensors.lag import SENSOR_LAG
 from dssc_jax.study import Study
 
 
@@ -29,7 +30,7 @@ def reading_noise(study: Study, outputs: np.ndarray) -> tuple[float, ...]:
         params = study.params(median_values(study))
         for i, logged in enumerate(outputs):
             finite_rows = np.flatnonzero(np.isfinite(logged))
-            if len(finite_rows) < 3:
+            if len(finite_rows) < 3 or loop.sensor[i] is SENSOR_LAG:  # which adds no noise, and removes that of the log
                 continue
             times = loop.sample_time * np.arange(len(logged))
             true = np.interp(times, times[finite_rows], logged[finite_rows])

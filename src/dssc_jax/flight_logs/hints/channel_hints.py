@@ -11,12 +11,14 @@ import numpy as np
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.flight_logs.channel_replay import ChannelReplay
 from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit, rate_hint
-from dssc_jax.flight_logs.hints.conversions import followed_conversion
+from dssc_jax.flight_logs.hints.conversions import followed_conversion, rms
 from dssc_jax.flight_logs.hints.filtered_references import study_reference_hint
 from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.measured_rates import mended_rate
+from dssc_jax.flight_logs.hints.other_gains import CLEARLY, other_gain, other_gain_hint
 from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
 from dssc_jax.flight_logs.hints.output_steps import is_reference
+from dssc_jax.flight_logs.hints.replayed_clocks import replayed_clock
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
 from dssc_jax.flight_logs.hints.replayed_references import moved_reference
 from dssc_jax.flight_logs.hints.rounded_outputs import rounded_output_hint
@@ -24,6 +26,9 @@ from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
 from dssc_jax.flight_logs.reading.reader import FlightLog, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
+
+OPEN_CAUSE = "The cause is open"
+"""Words of the hint about a command that no cause explains."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +168,12 @@ def add_command_hints(
     hint = rate_hint(log.columns[name], replay.sample_time)
     has_wrong_output = y in hints.conversions
     scaled = None if has_wrong_output else scaled_output(replay, signals, command)
+    gain = None
     if scaled is not None:
+        gain = other_gain(replay, signals, command, CLEARLY * rms(logged - scaled.command))
+    if gain is not None:
+        hint = other_gain_hint(gain, channel.units.of("u"))
+    elif scaled is not None:
         hints.factors[y] = scaled.hint
         command = scaled.command
     elif not has_wrong_output and y_ref not in hints.shifts and y_ref not in hints.others:
@@ -179,6 +189,13 @@ def add_command_hints(
             hints.others[y_ref] = reference_hint
     if hint is None and not has_wrong_output and not has_study_reference:
         hint = command_hint(logged, command, replay.sample_time, channel.units.of("u"), "y_ref" in signals)
+        if hint is not None and OPEN_CAUSE in hint.text:
+            gain = other_gain(replay, signals, command)
+            hint = hint if gain is None else other_gain_hint(gain, channel.units.of("u"))
+            clock = None if gain is not None else replayed_clock(replay, signals, command)
+            if clock is not None:
+                hints.shifts[y_ref] = clock
+                hint = None
     slope = hints.slopes.get(channel.signal("y_ref_dot"))
     is_explained = slope is not None and slope.code == "wrong-scale"
     if hint is not None and not (is_explained and hint.code == "another-command"):

@@ -176,9 +176,8 @@ def command_hint(
             "measurements: compare the times of its column. A fit takes that for a lag"
         )
         return Hint("shifted-command", text)
-    offset = float(np.median((logged - replayed)[has_both]))
-    residual = rms(logged - replayed - offset)
-    if abs(offset) > LARGE_OFFSET * deviation and residual <= min(largest_residual, FEWER * difference):
+    offset = constant_offset(logged, replayed)
+    if offset is not None:
         text = (
             f"lies {offset:.4g} {unit} beside what the analysed controller gives all the time: its column has an "
             "offset, or an integral began at another value. A fit takes an offset for a disturbance"
@@ -198,6 +197,23 @@ def command_hint(
         )
         return Hint("another-command", text)
     return None if rounding is None else rounded_hint(rounding, unit)
+
+
+def constant_offset(logged: np.ndarray, replayed: np.ndarray) -> float | None:
+    """The constant by which a command lies beside the analysed controller's [u]; None if it differs otherwise.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        replayed: The command of the analysed controller, shape (samples,).
+    """
+    beside = logged - replayed
+    has_both = np.isfinite(beside)
+    if np.count_nonzero(has_both) < LEAST_VALUES:
+        return None
+    deviation = rms(logged - np.median(logged[has_both]))
+    offset = float(np.median(beside[has_both]))
+    is_constant = rms(beside - offset) <= min(EXPLAINED * deviation, FEWER * rms(beside))
+    return offset if is_constant and abs(offset) > LARGE_OFFSET * deviation else None
 
 
 def spike_rows(logged: np.ndarray, replayed: np.ndarray) -> list[int]:

@@ -4,6 +4,9 @@
     I' = k_i (y_m - y) + (u - v)/T_t
     D  = k_d s/(T_f s + 1) (c y_m - y)
 
+D takes the slope of c y_m - y from one sample to the next, with the noise of y. A measured y', or that of a
+differentiator, is not used. For a derivative part on y' there is ``state_feedback``.
+
 Sampled as is usual: the integral by forward Euler, so that I does not depend on the present command, and the derivative
 by backward Euler, which is stable for every T_f >= 0.
 
@@ -32,6 +35,8 @@ from dssc_jax.models.controllers.command_limits import (
 )
 from dssc_jax.models.controllers.nominal import L0
 
+DERIVATIVE_GAIN = "derivative gain, on the slope of c y_m - y from sample to sample, not on a measured y'"
+
 
 class PidGains(NamedTuple):
     """Gains of the PID controller.
@@ -42,7 +47,7 @@ class PidGains(NamedTuple):
 
     k_p: Annotated[Scalar, Quantity("u/y", "proportional gain", at_least=0.0)]
     k_i: Annotated[Scalar, Quantity("u/(y s)", "integral gain", at_least=0.0)] = 0.0
-    k_d: Annotated[Scalar, Quantity("u s/y", "derivative gain", at_least=0.0)] = 0.0
+    k_d: Annotated[Scalar, Quantity("u s/y", DERIVATIVE_GAIN, at_least=0.0)] = 0.0
     filter: Annotated[Scalar, Quantity("s", "time constant T_f of the derivative's filter", at_least=0.0)] = 0.0
     proportional_weight: Annotated[Scalar, Quantity("1", "set-point weight b of the proportional part")] = 1.0
     derivative_weight: Annotated[Scalar, Quantity("1", "set-point weight c of the derivative part")] = 0.0
