@@ -295,10 +295,10 @@ def margins_dataset(study: Study, parameter: str, walk: Walk, draws: CriticalDra
         "censoring": ("draw", critical.censoring, side_attributes),
         "non_monotone": ("draw", critical.non_monotone, {"long_name": "passes again beyond a failure"}),
     }
-    if critical.violated is not None:
+    if critical.first_violated is not None:
         meaning = "index of the requirement violated first"
-        variables["violated_first"] = ("draw", critical.violated, unit_and_meaning("1", meaning))
-    for name, values in draws.numbers.items():
+        variables["violated_first"] = ("draw", critical.first_violated, unit_and_meaning("1", meaning))
+    for name, values in draws.uncertain_values.items():
         drawn = study.quantities[name]
         variables[name] = ("draw", values, unit_and_meaning(drawn.unit, drawn.meaning))
     variables["slack"] = (("value", "draw"), critical.slack, unit_and_meaning(unit, "signed slack"))

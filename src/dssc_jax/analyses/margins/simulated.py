@@ -12,8 +12,8 @@ from dssc_jax.analyses.defaults import BISECTIONS, MOST_BISECTIONS, MOST_POINTS,
 from dssc_jax.analyses.margins.result import Margins
 from dssc_jax.analyses.margins.search import (
     CLOCK,
-    Critical,
     CriticalDraws,
+    CriticalValues,
     FirstViolated,
     Walk,
     join_critical,
@@ -243,13 +243,13 @@ def critical_numbers(
         """Report the lanes done so far."""
         progress(clock.lanes, total)
 
-    blocks: list[Critical] = []
+    blocks: list[CriticalValues] = []
     block_numbers: list[Arrays] = []
     for begin in range(0, draws, evaluator.lanes):
         block = slice(begin, min(begin + evaluator.lanes, draws))
         draws_of_block = critical_block(evaluator, block, numbers_at, walk, bisections, report)
         blocks.append(draws_of_block.critical)
-        block_numbers.append(draws_of_block.numbers)
+        block_numbers.append(draws_of_block.uncertain_values)
     return CriticalDraws(join_critical(blocks), join_batches(block_numbers))
 
 
@@ -284,7 +284,7 @@ def critical_block(
         return slack
 
     critical = search_critical(slack_at, len(indices), walk, bisections)
-    return CriticalDraws(critical._replace(violated=violated.requirement), laws)
+    return CriticalDraws(critical._replace(first_violated=violated.requirement), laws)
 
 
 def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: ProgressCallback) -> CriticalDraws:
@@ -321,4 +321,4 @@ def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: Prog
         return violated.record(draws, values, study_at_value, results)
 
     critical = search_critical(slack_at, study.config.draws, walk, bisections=0)
-    return CriticalDraws(critical._replace(violated=violated.requirement), numbers)
+    return CriticalDraws(critical._replace(first_violated=violated.requirement), numbers)
