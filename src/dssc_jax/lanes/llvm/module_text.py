@@ -288,12 +288,12 @@ class Emitter(Instructions):
 
     def store_in_buffer(self, buffer: str, offset: int, value: Value) -> None:
         """Write the storing of a value of each lane at an offset of a buffer [bytes]."""
-        place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
-        self.write(place, "0", value, True)
+        place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", prefix="p")
+        self.emit_store(place, "0", value, True)
 
     def load_from_buffer(self, buffer: str, offset: int, dtype: np.dtype) -> str:
         """Write the loading of a value of each lane from an offset of a buffer [bytes]; return its register."""
-        place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
+        place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", prefix="p")
         return self.emit(f"load {self.kind(dtype, True)}, ptr {place}, align {dtype.itemsize}")
 
     def invert(self, condition: str, wide: bool) -> str:
@@ -331,10 +331,10 @@ class Emitter(Instructions):
 
     def store(self, position: int, output: Value) -> None:
         """Write the storing of a number of each lane into the column of the output at a position."""
-        self.write(self.column("outputs", position), "%lane", output, True)
+        self.emit_store(self.column("outputs", position), "%lane", output, True)
 
-    def write(self, column: str, element: str, value: Value, wide: bool) -> None:
-        """Write the storing of a value at an element of a column; a truth value is stored as a byte.
+    def emit_store(self, column: str, element: str, value: Value, wide: bool) -> None:
+        """Emit the instructions that store a value in a column; booleans are stored as bytes.
 
         Args:
             column: Register with the address of the column.
@@ -348,7 +348,7 @@ class Emitter(Instructions):
             kind = self.kind(BOOL, wide)
             dtype = stored_type(BOOL)
             register = self.emit(f"zext {kind} {register} to {self.kind(dtype, wide)}")
-        place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 {element}", "p")
+        place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 {element}", prefix="p")
         self.lines.append(f"  store {self.kind(dtype, wide)} {register}, ptr {place}, align {dtype.itemsize}")
 
     def record(self, record: Record) -> None:
@@ -357,7 +357,7 @@ class Emitter(Instructions):
         element = self.recorded_element(record.recording, index)
         for position, output in enumerate(self.program.outputs):
             if output is record.recording:
-                self.write(self.column("outputs", position), element, record.value, True)
+                self.emit_store(self.column("outputs", position), element, record.value, True)
 
     def recorded_element(self, recording: Recording, index: str) -> str:
         """Write where the element at an index of a recording lies for the vector's first lane; return its register.
