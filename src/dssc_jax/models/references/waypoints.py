@@ -86,7 +86,7 @@ class Curve(NamedTuple):
 
 
 def ecef(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Earth-centred, Earth-fixed (ECEF) positions from geodetic coordinates.
+    """Convert geodetic coordinates to Earth-centred, Earth-fixed (ECEF) positions.
 
     Args:
         latitude: Latitudes [rad], any shape (...).
@@ -104,7 +104,7 @@ def ecef(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.
 
 
 def enu(params: WaypointParams) -> np.ndarray:
-    """East, north and up of the waypoints in the tangent plane at the ground of the first one [m], shape (n, 3)."""
+    """Convert the waypoints to east, north and up [m] in the tangent plane at the ground of the first, shape (n, 3)."""
     latitude = np.radians(np.asarray(params.latitude_deg, float))
     longitude = np.radians(np.asarray(params.longitude_deg, float))
     east = np.array([-np.sin(longitude[0]), np.cos(longitude[0]), 0.0])
@@ -137,23 +137,29 @@ def check_numbers(params: WaypointParams) -> None:
         raise ConfigError("latitude_deg", f"must hold at least two waypoints, got {count}")
     for name, hint in get_type_hints(WaypointParams, include_extras=True).items():
         values = getattr(params, name)
+        (quantity,) = hint.__metadata__
         if values is None:
             continue
-        is_list = np.ndim(values) == 1
-        if is_list and len(values) != count:
+        if np.ndim(values) == 0:
+            require_in_range(name, values, quantity)
+            continue
+        if len(values) != count:
             raise ConfigError(name, f"must hold {count} numbers, as latitude_deg does, got {len(values)}")
-        quantity = hint.__metadata__[0]  # the Quantity of the field's annotation
-        for i, value in enumerate(values if is_list else (values,)):
-            violation = quantity.violated_by(value, value)
-            if violation is None and not math.isfinite(value):
-                violation = "must be finite"
-            if violation:
-                rule = f"{quantity.meaning} [{quantity.unit}] {violation}, got {value:g}"
-                raise ConfigError(f"{name}.{i}" if is_list else name, rule)
+        for i, value in enumerate(values):
+            require_in_range(f"{name}.{i}", value, quantity)
+
+
+def require_in_range(name: str, value: float, quantity: Quantity) -> None:
+    """Require a finite number in the range of a quantity; raises ConfigError."""
+    violation = quantity.violated_by(value, value)  # a number is an interval whose ends are equal
+    if violation is None and not math.isfinite(value):
+        violation = "must be finite"
+    if violation:
+        raise ConfigError(name, f"{quantity.meaning} [{quantity.unit}] {violation}, got {value:g}")
 
 
 def path_through(params: WaypointParams) -> CubicSpline:
-    """The path: a natural cubic spline of x, y, z [m] and psi [rad] through the waypoints.
+    """Fit the path: a natural cubic spline of x, y, z [m] and psi [rad] through the waypoints.
 
     Its parameter u [m] is the length of the straight lines between the waypoints, from the first one on.
     """
