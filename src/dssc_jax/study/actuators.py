@@ -132,7 +132,7 @@ def acting_elements(table: Mapping[str, object], config: StudyTable) -> list[tup
         table: Table of the study.
         config: Fixed tables of the study.
     """
-    parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
+    parameters = ParameterTable.from_toml(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     elements = []
     for element_table in parameters.resolved(tables_of(config, SLOT), SLOT):
         part = parse_component(kind_fields(element_table), UNMODELLED, SLOT)

@@ -104,7 +104,7 @@ def parse_content(table: TomlTable) -> StudyContent:
 
     :func:`build` adds the right section to the error.
     """
-    parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
+    parameters = ParameterTable.from_toml(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     config = validate_fixed(with_constants(table, parameters))
     require_one_form(config)
     parts = parse_parts(config, parameters)

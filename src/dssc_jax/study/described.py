@@ -152,7 +152,7 @@ class Described(Study):
         """
         try:
             description = Description.model_validate(content)
-            parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
+            parameters = ParameterTable.from_toml(as_table(table.get(PARAMETERS, {}), PARAMETERS))
             numbers = described_numbers(description, parameters)
             verdicts = np.asarray(description.certified or False, dtype=bool)  # False: Theorem 1 does not apply
         except ValueError as error:  # pydantic's ValidationError is one
