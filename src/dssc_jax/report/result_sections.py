@@ -124,7 +124,7 @@ def violation_rows(subject: Subject) -> list[tuple[h.Node, ...]]:
         time = failures["violated_at"]
         median_time = "" if time is None else f"{time:.4g}"
         counts = f"{failures['alone']:,}", f"{failures['first']:,}"
-        rows.append((f"violates {requirement.short}", *failure_cells(failures), *counts, median_time))
+        rows.append((f"violates {requirement.short_text}", *failure_cells(failures), *counts, median_time))
     return rows
 
 
@@ -135,7 +135,7 @@ def joint_violations(point: SummaryRow, study: Study) -> list[h.Node]:
     pairs = [pair for pair in point["overlaps"] if pair["draws"]]
     if not pairs:
         return [h.p["No draw that ran to its end violates two requirements."]]
-    texts = {requirement.label: requirement.short for requirement in study.requirements}
+    texts = {requirement.label: requirement.short_text for requirement in study.requirements}
     rows = []
     for pair in pairs:
         first, second = pair["names"]

@@ -210,7 +210,7 @@ class Margins(Analysis):
         """
         if "violated_first" not in self.dataset:
             return {}
-        names = [*(requirement.short for requirement in self.study.requirements), "ended early"]
+        names = [*(requirement.short_text for requirement in self.study.requirements), "ended early"]
         violated = self.dataset["violated_first"].values
         counts = {}
         for index, name in enumerate(names):

@@ -229,7 +229,7 @@ def missed_requirement(requirement: Requirement, slacks: np.ndarray) -> MissedBo
         worst_value = requirement.bound + distance
     shown_value, unit = requirement.shown(worst_value)
     shown_bound, _ = requirement.shown(requirement.bound)
-    return MissedBound(requirement.short, len(slacks), abs(shown_value - shown_bound), unit)
+    return MissedBound(requirement.short_text, len(slacks), abs(shown_value - shown_bound), unit)
 
 
 RESAMPLES = 2000  # of the bootstrap
@@ -327,7 +327,7 @@ def compare_results(plan: Plan, goal: Goal, start_results: Arrays, results: Arra
     for requirement in goal.requirements:
         start_violations = int(np.count_nonzero(violated(start_results[requirement.name])))
         violations = int(np.count_nonzero(violated(results[requirement.name])))
-        by_requirement[requirement.short] = (start_violations, violations)
+        by_requirement[requirement.short_text] = (start_violations, violations)
     start_count = int(np.count_nonzero(start_failed))
     count = int(np.count_nonzero(failed))
     return Verdict(
