@@ -19,8 +19,8 @@ VEHICLE_VERSION = 2
 """Version of the certificates of vehicles."""
 VEHICLE_KIND = "vehicle"
 """The entry ``kind`` of a vehicle's certificate."""
-ROOM_FACTORS = (1.0, 10.0)
-"""Factors of the room that the search leaves for the verifier; the next one is tried if the verifier rejects."""
+INFLATION_FACTORS = (1.0, 10.0)
+"""Multiples of the usual widening of bounds for the verifier; the next one is tried if the verifier rejects."""
 ROUNDED_START = 1e-9
 """Bounds of a start [m], [m/s], [rad] that are only there for rounding."""
 VEHICLE_REASONS = {
@@ -154,8 +154,8 @@ def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
     """
     start_time = time.perf_counter()
     verdict: VehicleVerdict | None = None
-    for room_factor in ROOM_FACTORS:
-        proof = search_proof(problem, room_factor)
+    for inflation_factor in INFLATION_FACTORS:
+        proof = search_proof(problem, inflation_factor)
         if isinstance(proof, Obstacle):
             failure = proof if verdict is None else Obstacle.VERIFIER
             return VehicleProved(problem, None, verdict, failure, time.perf_counter() - start_time)
@@ -165,19 +165,19 @@ def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
     return VehicleProved(problem, None, verdict, Obstacle.VERIFIER, time.perf_counter() - start_time)
 
 
-def search_proof(problem: VehicleProblem, room_factor: float) -> JsonObject | Obstacle:
+def search_proof(problem: VehicleProblem, inflation_factor: float) -> JsonObject | Obstacle:
     """Search for bounds that imply themselves, in cells of time first if the vehicle starts away from its rest.
 
     Args:
         problem: The vehicle.
-        room_factor: Factor of the room that is left for the verifier.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
 
     Returns:
         The proof as a certificate holds it, or why none is found.
     """
     if problem.starts_away:
-        bounds_in_cells = cell_bounds(problem, room_factor)
+        bounds_in_cells = cell_bounds(problem, inflation_factor)
         if not isinstance(bounds_in_cells, Obstacle):
             return cells_proof_of(problem, bounds_in_cells)
-    bounds = best_bounds(problem, room_factor)
+    bounds = best_bounds(problem, inflation_factor)
     return bounds if isinstance(bounds, Obstacle) else proof_of(problem, bounds)

@@ -118,7 +118,7 @@ class CellSearch:
         nominal: The nominal flight; the bounds are those of the deviation from it. None: the vehicle hovers.
         responses: Responses of each channel in time cells.
         tables: How far each channel's functions are from straight lines.
-        room_factor: Factor of the room that is left for the verifier.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
     """
 
     problem: VehicleProblem
@@ -126,20 +126,20 @@ class CellSearch:
     nominal: Nominal | None
     responses: dict[str, CellResponses]
     tables: dict[str, DeviationTable]
-    room_factor: float
+    inflation_factor: float
 
 
-def cell_bounds(problem: VehicleProblem, room_factor: float) -> CellBounds | Obstacle:
+def cell_bounds(problem: VehicleProblem, inflation_factor: float) -> CellBounds | Obstacle:
     """Search for bounds in time cells, with several layouts of cells and straight lines, until one choice succeeds.
 
     Args:
         problem: The vehicle.
-        room_factor: Factor of the room that is left for the verifier.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
 
     Returns:
         The bounds, or why there are none.
     """
-    settled = settled_bounds(problem, room_factor)
+    settled = settled_bounds(problem, inflation_factor)
     if isinstance(settled, Obstacle):
         return settled
     is_moving = problem.reference is not None
@@ -152,16 +152,16 @@ def cell_bounds(problem: VehicleProblem, room_factor: float) -> CellBounds | Obs
             earlier_cells=round(last_begin / duration),
         )
         lines = {name: lines_between(problem, name, settled.regions[name], share, widening) for name in CHANNELS}
-        result = bounds_cell_by_cell(problem, settled, lines, layout, room_factor)
+        result = bounds_cell_by_cell(problem, settled, lines, layout, inflation_factor)
         if not isinstance(result, Obstacle):
             return result
     return result
 
 
-def settled_bounds(problem: VehicleProblem, room_factor: float) -> VehicleBounds | Obstacle:
+def settled_bounds(problem: VehicleProblem, inflation_factor: float) -> VehicleBounds | Obstacle:
     """Bounds of the vehicle that starts at rest, or on the nominal flight; or why there are none."""
     resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
-    return best_bounds(replace(problem, channels=resting), room_factor, from_start=False)
+    return best_bounds(replace(problem, channels=resting), inflation_factor, from_start=False)
 
 
 def lines_between(problem: VehicleProblem, name: str, sigma: float, share: float, widening: float) -> StraightLines:
@@ -184,7 +184,7 @@ def bounds_cell_by_cell(
     settled: VehicleBounds,
     lines: dict[str, StraightLines],
     layout: CellLayout,
-    room_factor: float,
+    inflation_factor: float,
 ) -> CellBounds | Obstacle:
     """Search for bounds that imply themselves in one cell after the other, the last one included.
 
@@ -193,9 +193,9 @@ def bounds_cell_by_cell(
         settled: Bounds of the settled vehicle, whose damping of drag is taken.
         lines: The straight lines of each channel.
         layout: The layout of the cells.
-        room_factor: Factor of the room that is left for the verifier.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
     """
-    search = cell_search(problem, settled.damping, lines, layout, room_factor)
+    search = cell_search(problem, settled.damping, lines, layout, inflation_factor)
     if search is None:
         return Obstacle.GAIN
     cells: list[Signals] = []
@@ -224,7 +224,7 @@ def cell_search(
     damping: Damping,
     lines: dict[str, StraightLines],
     layout: CellLayout,
-    room_factor: float,
+    inflation_factor: float,
 ) -> CellSearch | None:
     """Compute what the search in all cells has in common; None if a channel is unstable or its responses last too long.
 
@@ -245,7 +245,7 @@ def cell_search(
         series = channel_series(problem, channel, linear[name], lines[name], length, start_offsets)
         responses[name] = cell_responses(problem, name, response, series, layout)
     tables = {name: DeviationTable(problem, name, lines[name]) for name in CHANNELS}
-    return CellSearch(problem, damping, nominal, responses, tables, room_factor)
+    return CellSearch(problem, damping, nominal, responses, tables, inflation_factor)
 
 
 def cells_proof_of(problem: VehicleProblem, result: CellBounds) -> JsonObject:
@@ -316,7 +316,7 @@ def cell_fixed_point(
             rows = from_start[name] + input_effects(responses, inputs[name], sizes[name], is_last=is_last)
             point_bounds = rows.reshape(responses.response.gains.shape[:2])  # (points, signals)
             bounds = with_slopes(problem, responses.response, point_bounds, slopes[name])
-            implied[name] = {key: inflated_bound(key, bound, search.room_factor) for key, bound in bounds.items()}
+            implied[name] = {key: inflated_bound(key, bound, search.inflation_factor) for key, bound in bounds.items()}
         change = largest_change(y, implied)
         y = implied
         if change <= SETTLED:
