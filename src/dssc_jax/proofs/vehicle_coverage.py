@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.core.contracts import Controller, Unmodelled
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.core.signals import Scalar
 from dssc_jax.design.ends import Ends, ends_of
@@ -52,7 +52,7 @@ def is_vehicle(study: Study) -> bool:
 
 
 def vehicle_problem_of(study: Study) -> VehicleProblem:
-    """The problem of a vehicle's study without its sweep; laws become the intervals of their support.
+    """Make the problem of a vehicle's study without its sweep; laws become the intervals of their support.
 
     Raises:
         NotCovered: A part of the loop is outside of the theorem; the message gives the reason.
@@ -148,7 +148,7 @@ def require_loop(study: Study) -> None:
 
 
 def require_inner_loop(plant: Ends) -> InnerGains:
-    """The gains of the inner loops; require those of the article, in the variant that the theorem covers.
+    """Return the gains of the inner loops; require those of the article, in the variant that the theorem covers.
 
     Raises:
         NotCovered: The inner loops are others, an option is outside of the theorem, or a gain is uncertain.
@@ -276,7 +276,7 @@ def channels_of(study: Study, ends: Ends) -> dict[str, ChannelProblem]:
 
 
 def channel_of(study: Study, place: int, gains: object, initial: tuple[float, float]) -> ChannelProblem:
-    """The problem of a single channel: its controller, and bounds of its start.
+    """Make the problem of a single channel: its controller, and bounds of its start.
 
     Args:
         study: The study.
@@ -287,10 +287,30 @@ def channel_of(study: Study, place: int, gains: object, initial: tuple[float, fl
     Raises:
         NotCovered: The controller is outside of the theorem.
     """
-    name = study.loop.channels[place]
-    member = study.loop.controller[place]
+    covered_gains = require_covered_controller(study.loop.channels[place], study.loop.controller[place], gains)
+    return ChannelProblem(
+        l0=float(covered_gains.l0),
+        functions=functions_content(covered_gains.functions),
+        rho=float(covered_gains.rho.rho),
+        nominal=nominal_content(covered_gains.nominal),
+        start=covered_gains.predictor_start.value,
+        initial=initial,
+    )
+
+
+def require_covered_controller(name: str, controller: Controller, gains: object) -> DsscGains:
+    """Return the gains of a channel's controller; require a controller that the theorem covers.
+
+    Args:
+        name: Name of the channel.
+        controller: Its controller.
+        gains: The controller's gains.
+
+    Raises:
+        NotCovered: The controller is outside of the theorem; the message gives the reason.
+    """
     conservative = (DSSC.members[Discretisation.CONSERVATIVE], SSC.members[Discretisation.CONSERVATIVE])
-    if member not in conservative or not isinstance(gains, DsscGains):
+    if controller not in conservative or not isinstance(gains, DsscGains):
         raise NotCovered(f"the controller of {name} is not DSSC or SSC in the conservative form")
     if not isinstance(gains.rho, ConstantModulation):
         raise NotCovered(f"rho of {name} is not constant")
@@ -298,14 +318,7 @@ def channel_of(study: Study, place: int, gains: object, initial: tuple[float, fl
         raise NotCovered(f"the sign of {name} is smoothed")
     if isinstance(gains.functions, Vgsta) or not gains.functions.finite_slope:
         raise NotCovered(f"phi_1 of {name} depends on e, or has no finite slope at sigma = 0")
-    return ChannelProblem(
-        l0=float(gains.l0),
-        functions=functions_content(gains.functions),
-        rho=float(gains.rho.rho),
-        nominal=nominal_content(gains.nominal),
-        start=gains.predictor_start.value,
-        initial=initial,
-    )
+    return gains
 
 
 def reference_of(study: Study) -> dict[str, Sine] | None:
