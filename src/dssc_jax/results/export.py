@@ -300,7 +300,7 @@ def write_mat(result: Result | Analysis, file: IO[bytes]) -> None:
 
 
 def matlab_name(name: str, used_names: Iterable[str]) -> str:
-    """A valid MATLAB name of at most 63 characters that is not among the used names.
+    """Make a valid MATLAB name of at most 63 characters that is not among the used names.
 
     Args:
         name: The name, in which an underscore replaces each character that MATLAB does not allow.
@@ -317,7 +317,11 @@ def matlab_name(name: str, used_names: Iterable[str]) -> str:
 
 
 def file_provenance(result: Result | Analysis) -> dict[str, str]:
-    """Attributes by which an exported file can be traced: the study, its hash, the version of dssc_jax and the time."""
+    """Collect attributes by which an exported file can be traced: the dataset's own, the study, its hash and history.
+
+    The history states the version that computed the result, and when the run started. An analysis has no manifest that
+    tells them: the version is then the one that exports, and the time is left out.
+    """
     manifest = {} if isinstance(result, Analysis) else result.manifest
     computing_version = manifest.get("versions", {}).get("dssc_jax") or version("dssc_jax")
     history = [f"computed with dssc_jax {computing_version}"]
