@@ -40,8 +40,8 @@ class Undescribed(Exception):
     """A subject that a name cannot describe completely."""
 
 
-def name_of(*subjects: Any) -> str | None:
-    """The name under which a result is kept that depends on the subjects and on this package's code.
+def cache_key(*subjects: Any) -> str | None:
+    """Make the name under which a result is cached that depends on the subjects and on this package's code.
 
     Returns:
         A digest in hexadecimal; None if a subject cannot be described, or if the package's files have changed since
