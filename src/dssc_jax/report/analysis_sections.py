@@ -46,7 +46,7 @@ def tables(caption: str, content: Mapping[str, object], meanings: Meanings, plac
         if text is not None:
             single_values.append((entry_label(meanings, place, name), text))
     if single_values:
-        yield table(caption, ("number", "value"), single_values, words=2)
+        yield table(caption, ("number", "value"), single_values, text_columns=2)
     for name, value in content.items():
         key = entry_key(meanings, place, name)
         group_caption = f"{caption}: {name.replace('_', ' ')}"
@@ -72,7 +72,7 @@ def row_table(caption: str, rows: Mapping[str, Mapping[str, object]], labels: Ma
     for name, row in rows.items():
         cells.append((name, *(cell(row.get(column)) or "" for column in labels)))
     words = 1 + leading_words(list(labels), rows.values())
-    return table(caption, ("name", *labels.values()), cells, words=words)
+    return table(caption, ("name", *labels.values()), cells, text_columns=words)
 
 
 def entry_key(meanings: Meanings, place: str, name: str) -> str:
@@ -155,7 +155,7 @@ def dataset(subject: AnalysisSubject) -> Section:
         rows.append((h.code[str(name)], meaning, unit, ", ".join(map(str, variable.dims))))
     head = ("variable", "meaning", "unit", "along")
     caption = "Variables of the dataset, which dssc_jax.load reads and dssc-jax export hands on"
-    return Section("dataset", "The dataset", table(caption, head, rows, words=4))
+    return Section("dataset", "The dataset", table(caption, head, rows, text_columns=4))
 
 
 def analysis_provenance(subject: AnalysisSubject) -> Section:

@@ -66,16 +66,16 @@ def count_text(count: int, noun: str) -> str:
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
-def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]], words: int = 1) -> h.Element:
+def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]], text_columns: int = 1) -> h.Element:
     """A table with caption and headers; the first cell of a row is the header of the row.
 
     Args:
         caption: The caption.
         head: Headers of the columns.
         rows: The cells, one sequence for each row.
-        words: Number of leading columns with words; the others contain numbers and are aligned to the right.
+        text_columns: Number of leading columns with text; the others contain numbers and are aligned to the right.
     """
-    classes = ["words" if index < words else None for index in range(len(head))]
+    classes = ["words" if index < text_columns else None for index in range(len(head))]
     headers = [h.th(scope="col", class_=class_)[text] for text, class_ in zip(head, classes, strict=True)]
     body = [table_row(row, classes) for row in rows]
     return scrollable(caption, h.table[h.caption[caption], h.thead[h.tr[headers]], h.tbody[body]])

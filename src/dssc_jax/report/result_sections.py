@@ -141,7 +141,7 @@ def joint_violations(point: SummaryRow, study: Study) -> list[h.Node]:
         first, second = pair["names"]
         rows.append((texts[first], texts[second], f"{pair['draws']:,}"))
     caption = "Requirements that the same draws violate, without draws that ended early"
-    return [table(caption, ("requirement", "and requirement", "draws"), rows, words=2)]
+    return [table(caption, ("requirement", "and requirement", "draws"), rows, text_columns=2)]
 
 
 def failure_cells(row: SummaryRow) -> tuple[str, str, str]:
@@ -236,7 +236,7 @@ def metrics(subject: Subject) -> Section:
     caption = f"Distribution of {name} with the interval of each share."
     body = [
         h.p[f"Quantiles over draws{subject.point_phrase}. A draw that ended early counts as ∞."],
-        table("Quantiles of the metrics", head, rows, words=3),
+        table("Quantiles of the metrics", head, rows, text_columns=3),
         h.div(".pair")[figure(picture, caption)],
     ]
     return Section("metrics", "What was measured", body)
@@ -328,7 +328,7 @@ def chattering_section(subject: Subject) -> Section | None:
             sampling_ratio_sentence(subject),
             off_reference_sentence(subject),
         ],
-        table(f"Chattering{subject.point_phrase}", head, rows, words=3),
+        table(f"Chattering{subject.point_phrase}", head, rows, text_columns=3),
     ]
     if study.axes and any(measure.name == "command_tv" for measure in measures):
         picture = inline_svg(
