@@ -227,7 +227,7 @@ def envelope_requirements(config: StudyTable, available: AvailableMetrics) -> li
         units = available.units[channel_index]
         kind = f"envelope_{table.signal}"
         signal = ENVELOPE_SIGNALS[table.signal]
-        metric = envelope_metric(signal.value, signal.unit, units.named(signal.meaning), table.lower, table.upper)
+        metric = envelope_metric(signal.value, signal.unit, units.describe(signal.meaning), table.lower, table.upper)
         name = suffixed(kind, channel)
         names.append(name)
         count = names.count(name)  # several envelopes may bound one signal
