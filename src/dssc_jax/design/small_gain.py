@@ -64,7 +64,7 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     rows.append([-x * unit for x in a] + [-l0])
     rows.append([zero] * m + [-l0])
     matrix = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
-    p = lyapunov(matrix)
+    p = solve_lyapunov(matrix)
     rising_eigenvalues = xp.linalg.eigvalsh(p)
     low = rising_eigenvalues[..., 0]
     high = rising_eigenvalues[..., -1]
@@ -77,8 +77,8 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     )
 
 
-def lyapunov(matrix: Numeric) -> Numeric:
-    """The symmetric P with A^T P + P A = -2 I, for each matrix A of a stack, shape (..., n, n).
+def solve_lyapunov(matrix: Numeric) -> Numeric:
+    """Solve A^T P + P A = -2 I for the symmetric P, for each matrix A of a stack, shape (..., n, n).
 
     The entries of P are the unknowns of one linear system of order n^2.
     """
@@ -92,7 +92,7 @@ def lyapunov(matrix: Numeric) -> Numeric:
     system = (left_product + right_product).reshape(*matrix.shape[:-2], n * n, n * n)
     right_side = xp.broadcast_to(-2.0 * identity.reshape(n * n, 1), (*matrix.shape[:-2], n * n, 1))
     p = xp.linalg.solve(system, right_side).reshape(matrix.shape)
-    return 0.5 * (p + xp.swapaxes(p, -1, -2))
+    return 0.5 * (p + xp.swapaxes(p, -1, -2))  # rounding makes P slightly asymmetric
 
 
 def worst_condition(p: Parameters, bounds: Bounds) -> Numeric:

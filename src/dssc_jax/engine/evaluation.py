@@ -252,24 +252,23 @@ class GradientEvaluator(Evaluator):
 
 
 def worst_slopes(requirements: Sequence[Requirement], results: Arrays, names: Sequence[str]) -> np.ndarray:
-    """Derivatives of each lane's smallest relative slack with respect to some numbers.
+    """Compute the gradient of each lane's smallest slack with respect to the numbers in ``names``, shape (n, numbers).
 
-    The slack of a requirement is relative to the requirement's scale.
+    The slacks are divided by the scales of their requirements.
 
     Args:
         requirements: The study's requirements.
         results: Results of a :class:`GradientEvaluator`, shape (n,) each.
-        names: The numbers.
-
-    Returns:
-        Shape (n, numbers).
+        names: Dotted names of the numbers.
     """
     binding = binding_requirement(requirements, results)  # index of the requirement, shape (n,)
     lanes = np.arange(len(binding))
     columns = []
     for name in names:
-        slopes = np.array([results[Derivative(rule.name, name)] / rule.scale for rule in requirements])
-        columns.append(slopes[binding, lanes])
+        slopes = []
+        for requirement in requirements:
+            slopes.append(results[Derivative(requirement.name, name)] / requirement.scale)
+        columns.append(np.array(slopes)[binding, lanes])
     return np.stack(columns, axis=1)
 
 
