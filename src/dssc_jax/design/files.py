@@ -137,11 +137,11 @@ def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFi
 
 
 def require_design_tables(table: TomlTable, complete: bool) -> None:
-    """Require the names of a design file, and tables that can stand together.
+    """Check that every table is known, that the name is text, and that no tables exclude each other.
 
     Args:
         table: Content of the file.
-        complete: As in :func:`load_design`.
+        complete: Whether the file must define a whole design; otherwise what it leaves out is optimised.
 
     Raises:
         ConfigError: A name is unknown, the design's name is not text, or tables exclude each other or are missing.

@@ -109,17 +109,17 @@ class UnloadedModel:
     error: ConfigError
 
     def __getattr__(self, name: str) -> Any:
-        """Refuse every attribute; Python's own protocols, such as copying, find that theirs is absent."""
+        """Raise the error on any attribute; dunder names raise AttributeError, so that copying and pickling work."""
         if name.startswith("__"):
             raise AttributeError(name)
         raise self.error
 
     def __iter__(self) -> Any:
-        """Refuse an iteration, as over the models of all channels."""
+        """Raise the error on an iteration, as over the models of all channels."""
         raise self.error
 
     def __call__(self, *_: object) -> Any:
-        """Refuse a call, as of a model's function."""
+        """Raise the error on a call, as of a model's function."""
         raise self.error
 
 

@@ -370,7 +370,7 @@ def has_dotted(table: TomlTable, name: str) -> bool:
 
 
 def enclosing_list(table: Mapping[str, object], name: str) -> tuple[str, list[Any]] | None:
-    """Dotted name and content of the outermost list on the way to a dotted name; None if there is no list."""
+    """Find the outermost list that contains the entry with a dotted name, with its own name; None if there is none."""
     node: Any = table
     parts = name.split(".")
     for depth, part in enumerate(parts):
