@@ -68,9 +68,11 @@ def write_function(
     first_law = len(software.parameters)
     first_reading = first_law + len(software.laws)
     read_positions = read_inputs(function.program)
-    read_parameters = names_at(read_positions, [parameter.name for parameter in software.parameters], first=0)
-    read_laws = names_at(read_positions, software.laws, first_law)
-    read_readings = names_at(read_positions, software.readings, first_reading)
+    read_parameters = names_of_read_inputs(
+        read_positions, [parameter.name for parameter in software.parameters], first=0
+    )
+    read_laws = names_of_read_inputs(read_positions, software.laws, first_law)
+    read_readings = names_of_read_inputs(read_positions, software.readings, first_reading)
     if read_laws:
         name = read_laws[0]
         rule = "has a law, and is a constant in the inner loop's C"
@@ -91,13 +93,13 @@ def write_function(
     return FunctionLines(text.lines, read_parameters, read_readings, definitions)
 
 
-def names_at(read_positions: Set[int], names: Sequence[str], first: int) -> list[str]:
-    """The names of a function's inputs that the function reads.
+def names_of_read_inputs(read_positions: Set[int], names: Sequence[str], first: int) -> list[str]:
+    """Select the names of a function's inputs that the function reads.
 
     Args:
-        read_positions: Positions of the inputs that it reads.
-        names: Names of consecutive inputs.
-        first: Position of the first of them.
+        read_positions: Positions of the inputs that it reads, among all its inputs.
+        names: Names of some consecutive inputs.
+        first: Position of the input with the first of these names.
     """
     return [name for position, name in enumerate(names, start=first) if position in read_positions]
 
@@ -336,22 +338,13 @@ def row_assignments(members: Sequence[str], first: int) -> list[str]:
 
 
 def readme_lines(files: SoftwareFiles) -> list[str]:
-    """The section of the README on the software on board."""
+    """Write the section of the README on the software on board."""
     software = files.software
-    name = software.prefix
-    return [
-        "## The inner loop and the mixer",
-        "",
-        f"`{name}.h`, `{name}.c`: call `{name}_init` once; it gives `parameters` the study's values, which may be "
-        f"changed between two ticks (`{name}_check` tells whether they are admissible). Call `{name}_start` with "
-        "the first readings before each take-off; it sets all integrals to 0, to which `velocity_integral` of the"
-        f" study adds. Where it takes over in flight, call `{name}_transfer` instead, with the thrusts of the "
-        f"rotors until then. At every sample, after the controllers, call `{name}_sample` with their commands. "
-        f"Call `{name}_tick` every {software.period:g} s, {software.ticks} times in a sample; the first one "
-        f"follows `{name}_sample`. The members `rotor_..` are the commanded thrusts [N]. `inner_loop_bench.c` "
-        "compares every bit with recorded "
-        "flights, which begin as `_start` does; `make` builds and runs it.",
-        "",
-        *(f"* {sentence}" for sentence in software.outputs),
-        "",
-    ]
+    section = fill(
+        "inner_loop_readme.md",
+        name=software.prefix,
+        period=f"{software.period:g}",
+        ticks=str(software.ticks),
+        outputs=[f"* {sentence}" for sentence in software.outputs],
+    )
+    return section.split("\n")
