@@ -205,7 +205,7 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> FoundParameters:
 
 
 def default_criterion(bounds: Bounds) -> str:
-    """The criterion of a goal that states none: the smallest residual, or without inputs the fastest decay.
+    """Choose the criterion of a goal that states none: the smallest residual, or without inputs the fastest decay.
 
     Without a reference and a disturbance, the residual of every design is 0.
     """
@@ -254,7 +254,7 @@ def design_toml(design_file: DesignFile) -> str:
 
 
 def functions_toml(parameters: Parameters) -> str:
-    """The table ``[controller]`` of a study that uses the parameters.
+    """Write the table ``[controller]`` of a study that uses the parameters.
 
     k_o = 1 is arbitrary, since only k_o tau_av matters.
     """

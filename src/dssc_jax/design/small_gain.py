@@ -96,7 +96,7 @@ def solve_lyapunov(matrix: Numeric) -> Numeric:
 
 
 def worst_condition(p: Parameters, bounds: Bounds) -> Numeric:
-    """Largest condition number of P over the interval of k_p, which is attained at one of its ends."""
+    """Compute the largest condition number of P over the interval of k_p, which is attained at one of its ends."""
     at_k_min = eigenvalues_of_p(bounds.k_min, p.eps, p.gamma)
     at_k_max = eigenvalues_of_p(bounds.k_max, p.eps, p.gamma)
     return greater(at_k_min.condition, at_k_max.condition)
@@ -117,7 +117,7 @@ class SmallGain(NamedTuple):
 
 
 def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
-    """The smallest phi_b for which the interconnection of tracking error and sliding motion is stable.
+    """Compute the smallest phi_b for which the interconnection of tracking error and sliding motion is stable.
 
     The condition is phi_b^2 > |P_eta B_sigma| |P B| (kappa_e + |C_eta A_eta|) cond(P) cond(P_eta)/eps. Its right side
     does not depend on phi_b, so a sufficiently large phi_b always satisfies it.
@@ -163,7 +163,7 @@ class Gains(NamedTuple):
 
 
 def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, eigenvalues: EigenvalueRange) -> Gains:
-    """The coefficients of the comparison system, with corrected powers of the eigenvalues.
+    """Compute the coefficients of the comparison system, with corrected powers of the eigenvalues.
 
     Args:
         p: Parameters of Table 1.

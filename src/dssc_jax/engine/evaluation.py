@@ -75,7 +75,7 @@ class Evaluator:
         return Engine(self.swept, self.lanes)
 
     def values_of_draws(self, draws: slice) -> Arrays:
-        """Values of the uncertain numbers that lanes do not set, in a range of draws, shape (draws,) each."""
+        """Draw the values of the uncertain numbers that lanes do not set, in a range of draws, shape (draws,) each."""
         return values_of_draws(self.swept, draws)
 
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
@@ -137,12 +137,12 @@ def require_values_between(study: Study, extents: Mapping[str, tuple[float, floa
 
 
 def plant_and_controllers(study: Study) -> list[tuple[str, Plant | Controller]]:
-    """The parts of a study that may be native code, each with the name of its table."""
+    """List the parts of a study that may be native code, each with the name of its table."""
     return [("plant", study.loop.plant), *(("controller", part) for part in study.loop.controller)]
 
 
 def native_code(study: Study) -> str:
-    """The first file of native code that the plant or a controller calls; empty if there is none.
+    """Find the first file of native code that the plant or a controller calls; empty if there is none.
 
     Without native code the whole loop can be differentiated.
     """
@@ -295,7 +295,7 @@ def metrics_and_slacks(
 
 
 def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, Scalar]) -> dict[Any, Scalar]:
-    """Results and derivatives as one pytree.
+    """Join results and derivatives in one pytree.
 
     It is an OrderedDict, because JAX would sort the keys of a dict, and strings and derivatives have no order.
     """

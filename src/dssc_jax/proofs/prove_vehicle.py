@@ -78,7 +78,7 @@ class VehicleProved:
         return VEHICLE_REASONS[self.failure] + detail
 
     def summary(self) -> JsonObject:
-        """A table of the outcome, in JSON's types, with bounds from the start on and once settled, in SI units."""
+        """Make a table of the outcome, in JSON's types, with bounds from the start on and once settled, in SI units."""
         no_bounds = {"bounds": None, "settled": None}
         return {
             "proved": self.complete,
@@ -93,7 +93,7 @@ class VehicleProved:
         }
 
     def statement(self) -> str:
-        """The proved statement, in a few sentences."""
+        """State what is proved, in a few sentences."""
         if self.verdict is None or self.failure:
             return f"Nothing is proved: {self.reason}."
         wind_h, wind_z = self.problem.wind
@@ -142,7 +142,7 @@ def vehicle_words(problem: VehicleProblem) -> list[str]:
 
 
 def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObject:
-    """The content of a certificate's file, from a problem and a proof, or None for no proof."""
+    """Make the content of a certificate's file, from a problem and a proof, or None for no proof."""
     return {"version": VEHICLE_VERSION, "kind": VEHICLE_KIND, "problem": problem.to_dict(), "proof": proof}
 
 

@@ -200,12 +200,12 @@ def require_geometry(plant: Ends) -> None:
 
 
 def interval_of(values: Sequence[Scalar]) -> Interval:
-    """The smallest interval that contains some values."""
+    """Find the smallest interval that contains some values."""
     return float(min(values)), float(max(values))
 
 
 def with_rounding_room(interval: Interval) -> Interval:
-    """An interval widened by the rounding errors of its ends; the exact number 1 stays as it is."""
+    """Widen an interval by the rounding errors of its ends; the exact number 1 stays as it is."""
     if interval == ONE:
         return interval
     low, high = interval
@@ -213,7 +213,7 @@ def with_rounding_room(interval: Interval) -> Interval:
 
 
 def quotient(a: Interval, b: Interval) -> Interval:
-    """The interval of a/b for positive a and b in intervals; exactly 1 for a number over itself."""
+    """Enclose a/b for positive a and b in intervals; exactly 1 for a number over itself."""
     a_low, a_high = a
     b_low, b_high = b
     if a == b and a_low == a_high:
@@ -222,7 +222,7 @@ def quotient(a: Interval, b: Interval) -> Interval:
 
 
 def product(a: Interval, b: Interval) -> Interval:
-    """The interval of a b for positive a and b in intervals; an exact factor of 1 adds no rounding."""
+    """Enclose a b for positive a and b in intervals; an exact factor of 1 adds no rounding."""
     if a == ONE:
         return b
     if b == ONE:
@@ -233,7 +233,7 @@ def product(a: Interval, b: Interval) -> Interval:
 
 
 def delay_of(study: Study, ends: Ends) -> float:
-    """Delay of the commands [samples], the same in all channels; 0 without unmodelled dynamics.
+    """Return the delay of the commands [samples], the same in all channels; 0 without unmodelled dynamics.
 
     Raises:
         NotCovered: The unmodelled dynamics are not a single delay, or it is uncertain or differs between channels.
@@ -250,7 +250,7 @@ def delay_of(study: Study, ends: Ends) -> float:
 
 
 def wind_of(study: Study, ends: Ends) -> tuple[float, float]:
-    """Bounds of the horizontal and of the vertical wind [m/s].
+    """Return bounds of the horizontal and of the vertical wind [m/s].
 
     Raises:
         NotCovered: The kind of wind states no bounds.
@@ -331,7 +331,7 @@ def reference_of(study: Study) -> dict[str, Sine] | None:
 
 
 def first_points(study: Study, ends: Ends) -> list[tuple[float, float]]:
-    """Value [m, rad] and rate [m/s, rad/s] of each axis's reference at t = 0, in the order x, y, z, psi."""
+    """Return the value [m, rad] and rate [m/s, rad/s] of each axis's reference at t = 0, in the order x, y, z, psi."""
     if study.loop.reference is HOVER:
         hover = ends.low.reference
         return [(float(value), 0.0) for value in (*hover.position, hover.yaw)]
@@ -367,5 +367,5 @@ def starts_of(study: Study, ends: Ends) -> dict[str, tuple[float, float]]:
 
 
 def largest_of(values: Sequence[Scalar]) -> float:
-    """The largest of the magnitudes of some values."""
+    """Return the largest of the magnitudes of some values."""
     return max(abs(float(value)) for value in values)

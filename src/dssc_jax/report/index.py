@@ -59,7 +59,7 @@ def indexed_folders(root: Path) -> Iterator[Path]:
 
 
 def folders_with_results(top: Path) -> list[Path]:
-    """The folders of results and analyses at and below a folder; those within another one are left out."""
+    """Find the folders of results and analyses at and below a folder; those within another one are left out."""
     result_folders = []
     for place, subfolders, file_names in os.walk(top):
         if not DESCRIPTIONS.isdisjoint(file_names):
@@ -191,10 +191,10 @@ def trouble_table(root: Path, rows: list[IndexRow]) -> h.Element:
 
 
 def report_link(root: Path, row: IndexRow) -> h.Element:
-    """The study's name as a link to the report, relative to the index."""
+    """Make the study's name as a link to the report, relative to the index."""
     return h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study]
 
 
 def folder_code(root: Path, row: IndexRow) -> h.Element:
-    """The path of a folder relative to the index, set as code."""
+    """Format the path of a folder relative to the index, set as code."""
     return h.code[str(row.folder.relative_to(root))]

@@ -145,12 +145,12 @@ def write_whole_file(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
 
 
 def table_of(result: Result | Analysis) -> ExportTable:
-    """The table of a result, with a row for each lane, or of an analysis, with a row for each index."""
+    """Make the table of a result, with a row for each lane, or of an analysis, with a row for each index."""
     return table_of_analysis(result) if isinstance(result, Analysis) else table_of_lanes(result)
 
 
 def table_of_analysis(analysis: Analysis) -> ExportTable:
-    """The table of an analysis, with a row for each index of its own dimensions."""
+    """Make the table of an analysis, with a row for each index of its own dimensions."""
     data = analysis.dataset
     names = [name for name, variable in data.items() if set(variable.dims) <= set(analysis.table)]
     frame = data[names].to_dataframe(dim_order=list(analysis.table)).reset_index()
@@ -166,7 +166,7 @@ def table_of_analysis(analysis: Analysis) -> ExportTable:
 
 
 def table_of_lanes(result: Result) -> ExportTable:
-    """The table of a result, with a row for each lane, a draw at a point of the sweep."""
+    """Make the table of a result, with a row for each lane, a draw at a point of the sweep."""
     columns = {}
     for name, variable in (coordinates(result.study) | variables(result.study)).items():
         columns[name] = dict(variable.attributes)
@@ -176,7 +176,7 @@ def table_of_lanes(result: Result) -> ExportTable:
 
 
 def lane_rows(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
-    """The rows of a result's table, :data:`TABLE_ROWS` at a time.
+    """Yield the rows of a result's table, :data:`TABLE_ROWS` at a time.
 
     Args:
         result: The result.
@@ -193,7 +193,7 @@ def lane_rows(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
 
 
 def lane_columns(result: Result, block: Block) -> Arrays:
-    """The numbers and results of the lanes of a block by name, shape (lanes,) each."""
+    """Read the numbers and results of the lanes of a block by name, shape (lanes,) each."""
     study = result.study
     data = result.dataset
     law_values = {name: data[name].values[block[-1]] for name in study.laws}

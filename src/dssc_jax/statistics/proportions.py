@@ -188,7 +188,7 @@ Method: TypeAlias = FixedCount | IntervalsAfterStop | Replicated
 
 
 def replicate_interval(values: np.ndarray, replicates: int, confidence: float = CONFIDENCE) -> np.ndarray:
-    """Student's t interval of a mean, from the means of independent replicates.
+    """Compute the Student's t interval of a mean, from the means of independent replicates.
 
     Args:
         values: Values, shape (..., n) with n a multiple of R; value i belongs to replicate i mod R.
@@ -271,7 +271,7 @@ def design_effect(happened: np.ndarray, replicates: int) -> DesignEffect | None:
 
 
 def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Interval of the mean of independent estimates that are 0 or follow a lognormal law.
+    """Compute the interval of the mean of independent estimates that are 0 or follow a lognormal law.
 
     If the logarithms have the mean m and the variance s^2, the law has the mean exp(m + s^2/2). Student's t limits of m
     and chi-square limits of s^2/2 are combined: the squares of their distances from the estimates add up. Zeros widen

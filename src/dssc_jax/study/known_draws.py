@@ -13,7 +13,7 @@ POINT = "point"
 
 
 def study_of_draw(study: Study, numbers: Mapping[str, float]) -> Study:
-    """The study of one draw, in which the draw flies exactly as it did among all draws.
+    """Make the study of one draw, in which the draw flies exactly as it did among all draws.
 
     Some values follow from nominal numbers when a study is read, such as the gains of a fitted controller or the mass
     that an inner loop assumes. If plain numbers in place of laws would change these values, each law becomes a law

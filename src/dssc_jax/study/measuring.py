@@ -191,7 +191,7 @@ def required_metric(table: RequirementTable) -> str:
 
 
 def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
-    """The metrics of signals that a study reports or requires, by name.
+    """Make the metrics of signals that a study reports or requires, by name.
 
     Raises:
         ConfigError: A requirement's signal, or its kind of metric, is unknown.

@@ -67,7 +67,7 @@ class LoopParts(NamedTuple):
     measures: tuple[NamedSignal, ...]
 
     def loop(self, config: StudyTable) -> Loop:
-        """The loop before tracing: the models of all parts in their slots, and the clock of the study."""
+        """Make the loop before tracing: the models of all parts in their slots, and the clock of the study."""
         has_events = bool(self.repeated_parts["events"])
         rotors = self.shared_parts["plant"].params.vehicle.rotors if has_events else 0  # 0: not needed
         return Loop(
@@ -260,7 +260,7 @@ def require_controllers(
 
 
 def with_bounded_jitter(sensors: Sequence[Component], channels: Sequence[str], sample_time: float) -> list[Component]:
-    """The sensors with the sample time as upper bound of their jitter, also in sweeps and margins.
+    """Bound the jitter of the sensors by the sample time, also in sweeps and margins.
 
     Args:
         sensors: Sensor of each channel, parsed.

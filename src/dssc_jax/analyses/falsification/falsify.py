@@ -156,7 +156,7 @@ class Falsified(Analysis):
         return int(np.argmin(distances))
 
     def numbers_at(self, point: int) -> dict[str, float]:
-        """Value of each uncertain number at a simulated point, by dotted name."""
+        """Return the value of each uncertain number at a simulated point, by dotted name."""
         return {name: float(self.dataset[name][point]) for name in self.study.laws}
 
     def likelihood_at(self, point: int) -> Likelihood:
@@ -169,18 +169,18 @@ class Falsified(Analysis):
         return float(self.dataset["slack"][self.worst])
 
     def binding_requirement_at(self, point: int) -> Requirement | None:
-        """The worst requirement of a point; None if its draw ends early, which violates all of them."""
+        """Return the worst requirement of a point; None if its draw ends early, which violates all of them."""
         if self.dataset["ended"].values[point] != RAN_TO_END:
             return None
         return self.study.requirements[int(self.dataset["binding"][point])]
 
     def binding_at(self, point: int) -> str | None:
-        """The worst requirement of a point, in words; None if its draw ends early, which violates all of them."""
+        """Name the worst requirement of a point, in words; None if its draw ends early, which violates all of them."""
         requirement = self.binding_requirement_at(point)
         return None if requirement is None else requirement.short_text
 
     def value_at(self, point: int) -> str | None:
-        """The metric of the worst requirement of a point, with its unit; None if its draw ends early."""
+        """Format the metric of the worst requirement of a point, with its unit; None if its draw ends early."""
         requirement = self.binding_requirement_at(point)
         if requirement is None:
             return None

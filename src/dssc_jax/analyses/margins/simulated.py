@@ -102,7 +102,7 @@ def margin(
 
 
 def prove_along(study: Study, walk: Walk, over: str) -> JsonObject:
-    """The range of a walk for which the sampled loop is proved, or the reason why no proof covers it, as JSON.
+    """Find the range of a walk for which the sampled loop is proved, or the reason why no proof covers it, as JSON.
 
     Args:
         study: The study without a sweep.
@@ -125,7 +125,7 @@ def admissible_walk(
     bisections: int,
     parted: float | None = None,
 ) -> Walk:
-    """The walk of a search, if its settings are admissible.
+    """Make the walk of a search, if its settings are admissible.
 
     Args:
         over: Dotted name of the number.
@@ -153,7 +153,7 @@ def admissible_walk(
 
 
 def numbers_along(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
-    """A function that puts the values of a walk into drawn numbers: (numbers, values) -> the numbers of n lanes.
+    """Return a function that puts the values of a walk into drawn numbers: (numbers, values) -> the numbers of n lanes.
 
     Numbers and values have the shape (n,) each. A value of the walk replaces the drawn value of its number. A value of
     ``spread`` moves all drawn values, by their distance from the median.
@@ -164,11 +164,11 @@ def numbers_along(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arr
     """
 
     def with_number(numbers: Arrays, values: np.ndarray) -> Arrays:
-        """The drawn numbers, with other values of the walked number."""
+        """Return the drawn numbers, with other values of the walked number."""
         return {**numbers, over: values}
 
     def with_spread(numbers: Arrays, values: np.ndarray) -> Arrays:
-        """The drawn numbers under laws that are widened by factors."""
+        """Return the drawn numbers under laws that are widened by factors."""
         return {name: study.laws[name].spread(column, values) for name, column in numbers.items()}
 
     return with_spread if over == SPREAD else with_number

@@ -123,7 +123,7 @@ def stratified_probability(
 
 
 def stratum_counts(edges: np.ndarray, predictions: np.ndarray) -> np.ndarray:
-    """Number of points in each stratum, shape (strata,).
+    """Count the points in each stratum, shape (strata,).
 
     Args:
         edges: Edges of the strata, shape (strata - 1,).

@@ -101,7 +101,7 @@ class WeightedEstimate(Estimate):
         return float(self.weights.sum())
 
     def mean_interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """The interval of the sum of weights (:func:`dssc_jax.statistics.weighted.weighted_interval`)."""
+        """Compute the interval of the sum of weights (:func:`dssc_jax.statistics.weighted.weighted_interval`)."""
         return weighted_interval(self.weights, draws=1, largest=self.weight_bound, confidence=confidence)
 
     @property

@@ -128,7 +128,7 @@ class RareEvent(Analysis):
 
     @classmethod
     def of(cls, study: Study, settings: Method, estimate: Estimate, noisy: bool, refusal: str = "") -> Self:
-        """The analysis of an estimate, with its failures in a dataset.
+        """Make the analysis of an estimate, with its failures in a dataset.
 
         Args:
             study: The study without a sweep.
@@ -294,7 +294,7 @@ def design_point_columns(design_points: list[DesignPoint]) -> dict[str, tuple[ob
 
 
 def read_design_points(dataset: xr.Dataset) -> list[DesignPoint]:
-    """The design points that :func:`design_point_columns` stored in a dataset."""
+    """Read the design points that :func:`design_point_columns` stored in a dataset."""
     design_points = []
     for index in range(dataset.sizes["design_point"]):
         row = dataset.isel(design_point=index)

@@ -71,7 +71,7 @@ class RegionAxis(NamedTuple):
     log: bool = False
 
     def values(self, count: int) -> np.ndarray:
-        """The values of the lattice from the lower to the upper end, shape (count,)."""
+        """Return the values of the lattice from the lower to the upper end, shape (count,)."""
         if self.log:
             return np.geomspace(self.low, self.high, count)
         return np.linspace(self.low, self.high, count)
@@ -133,7 +133,7 @@ class Lattice:
         self.drawn = self.evaluator.values_of_draws(slice(0, study.config.draws))
 
     def verdicts(self) -> np.ndarray:
-        """The :class:`PairVerdict` at each point, shape (count, count)."""
+        """Return the :class:`PairVerdict` at each point, shape (count, count)."""
         verdicts = np.where(
             self.failures <= self.thresholds.most_failures_to_meet, PairVerdict.MEETS, PairVerdict.UNDECIDED
         )
@@ -210,7 +210,7 @@ class Lattice:
             self.simulate(points)
 
     def boundary_sides(self, stride: int) -> list[CellSide]:
-        """The sides of cells that the boundary crosses: both ends are simulated and have different verdicts.
+        """Find the sides of cells that the boundary crosses: both ends are simulated and have different verdicts.
 
         Args:
             stride: Length of a cell's side, in points of the finest lattice.
@@ -238,7 +238,7 @@ class Lattice:
         return corners
 
     def dataset(self, certified: np.ndarray) -> xr.Dataset:
-        """The dataset of :class:`~dssc_jax.analyses.region.safe_region.SafeRegion`.
+        """Make the dataset of :class:`~dssc_jax.analyses.region.safe_region.SafeRegion`.
 
         Args:
             certified: Whether Theorem 1 certifies each point, shape (count, count).

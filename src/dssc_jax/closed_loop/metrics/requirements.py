@@ -133,7 +133,7 @@ def with_typical_slacks(
 
 
 def counted_places(requirements: Sequence[Requirement], label: str) -> list[int]:
-    """Indices of the requirements that count as failures: those with a label, or all if the label is empty."""
+    """Find the indices of the requirements that count as failures: those with a label, or all if the label is empty."""
     return [index for index, requirement in enumerate(requirements) if label in ("", requirement.label)]
 
 

@@ -56,7 +56,7 @@ class Emitter(Instructions):
         self.computed_ids: set[int] = set()  # of values that are precomputed
 
     def text(self) -> str:
-        """The text of the module."""
+        """Write the text of the module."""
         self.lines += self.opening()
         self.label = "lanes"
         self.block(self.program.body)
@@ -70,11 +70,11 @@ class Emitter(Instructions):
         return "\n".join([*head_lines, *self.lines, "}", *functions, *ATTRIBUTES, ""])
 
     def head(self) -> str:
-        """The first line of the function, whose arguments ``first`` and ``last`` are the range of lanes."""
+        """Write the first line of the function, whose arguments ``first`` and ``last`` are the range of lanes."""
         return f"define void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %first, i64 %last) #0 {{"
 
     def opening(self) -> list[str]:
-        """The lines before the first instruction of a vector of lanes."""
+        """Write the lines before the first instruction of a vector of lanes."""
         return [
             "  %some = icmp ult i64 %first, %last",
             "  br i1 %some, label %lanes, label %done",
@@ -83,7 +83,7 @@ class Emitter(Instructions):
         ]
 
     def closing(self) -> list[str]:
-        """The lines after the last store of a vector of lanes."""
+        """Write the lines after the last store of a vector of lanes."""
         return [
             f"  %next = add i64 %lane, {self.width}",
             "  %more = icmp ult i64 %next, %last",
@@ -93,7 +93,7 @@ class Emitter(Instructions):
         ]
 
     def functions(self) -> list[str]:
-        """The definitions of the subroutines and functions of C that are called."""
+        """Write the definitions of the subroutines and functions of C that are called."""
         lines: list[str] = []
         for name, (subroutine, width) in self.subroutines.items():
             emitter = SubroutineEmitter(subroutine.program, width, self.strict, 0, MANY_REGISTERS)
@@ -377,12 +377,12 @@ class SubroutineEmitter(Emitter):
     """Writes a subroutine as a function of LLVM; its arguments are the inputs of its program, vectors of lanes."""
 
     def input(self, value: Value, wide: bool) -> str:
-        """The argument's register, by the position of the input; it is a vector, so ``wide`` does not matter."""
+        """Return the argument's register, by the position of the input; it is a vector, so ``wide`` does not matter."""
         position = value.detail
         return f"%a{position}"
 
     def definition(self, name: str) -> list[str]:
-        """The lines of the function, which returns the program's only output; arguments are %a0, %a1, ..."""
+        """Write the lines of the function, which returns the program's only output; arguments are %a0, %a1, ..."""
         result = self.program.outputs[0]
         assert isinstance(result, Value)
         self.block(self.program.body)
@@ -395,5 +395,5 @@ class SubroutineEmitter(Emitter):
 def module_text(
     program: Program, width: int, strict: bool = False, window: int = 0, register_use: RegisterUse = MANY_REGISTERS
 ) -> str:
-    """The text for LLVM of a program's module; arguments as of :class:`Emitter`."""
+    """Write the text for LLVM of a program's module; arguments as of :class:`Emitter`."""
     return Emitter(program, width, strict, window, register_use).text()

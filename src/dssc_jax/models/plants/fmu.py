@@ -112,7 +112,7 @@ class FmuPlant:
         return ChannelUnits(output.unit or OUTPUT_UNIT, command.unit or COMMAND, output.meaning, command.meaning)
 
     def init(self, params: Params) -> FmuState:
-        """The state before an instance of the FMU is started, which :meth:`begin` replaces."""
+        """Return the state before an instance of the FMU is started, which :meth:`begin` replaces."""
         return FmuState(empty_words(), y=0.0, y_dot=0.0, outputs=(0.0,) * len(self.outputs))
 
     def begin(self, params: Params, state: FmuState, lane: Scalar, steps: int) -> FmuState:
@@ -150,14 +150,14 @@ class FmuPlant:
         return y, y_dot, tuple(outputs)
 
     def report(self, params: Params, state: FmuState, drive: PlantInput[Scalar]) -> Info:
-        """The additional outputs by their names in the study; () if it reports none."""
+        """Report the additional outputs by their names in the study; () if there are none."""
         if not self.outputs:
             return ()
         report = report_type(tuple(signal for signal, _ in self.outputs))
         return report(*state.outputs)
 
     def plant(self) -> Plant:
-        """The plant, an instance of its contract."""
+        """Make the plant, an instance of its contract."""
         return Plant(
             params_type(self.parameters, "k_p", K_P, None),
             self.init,
@@ -176,7 +176,7 @@ class FmuPlant:
 
 
 def input_gain(params: Params) -> Scalar:
-    """The high-frequency gain k_p that the study states [y/(s^2 u)]; NaN if it states none."""
+    """Return the high-frequency gain k_p that the study states [y/(s^2 u)]; NaN if it states none."""
     return nan if params.k_p is None else params.k_p
 
 
@@ -186,7 +186,7 @@ def no_derivative(params: Params, state: FmuState, drive: PlantInput[Scalar], t:
 
 
 def loaded_plant(table: TomlTable) -> Plant:
-    """The plant of the FMU that a study's table names by file and digest.
+    """Make the plant of the FMU that a study's table names by file and digest.
 
     Raises:
         ConfigError: The FMU is not loaded, or a variable is not there or cannot be connected.

@@ -99,7 +99,7 @@ class LinearState(NamedTuple):
 
 
 def initial_state(x0: tuple[Scalar, ...], order: int) -> LinearState:
-    """The state at t = 0 of a plant with ``order`` states: the entries x0, filled up with zeros."""
+    """Return the state at t = 0 of a plant with ``order`` states: the entries x0, filled up with zeros."""
     return LinearState((*x0, *(0.0,) * (order - len(x0))))
 
 
@@ -126,7 +126,7 @@ def state_space_measure(params: StateSpaceParams, state: LinearState, drive: Pla
 
 
 def state_space_report(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Info:
-    """The values of the outputs that the study names, for metrics and plots; () if it names none."""
+    """Report the outputs that the study names, for metrics and plots; () if it names none."""
     return output_report(params.outputs, params.inputs, state.x, drive, is_matched=params.disturbance is None)
 
 

@@ -203,7 +203,7 @@ def check_speed(params: WaypointParams, path: CubicSpline, u: np.ndarray, total:
 
 
 def rest_to_rest(t: np.ndarray, total: float, speed: float, ramp: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The motion along a path from rest to rest: a ramp of the speed, cruise, and the same ramp down.
+    """Compute the motion along a path from rest to rest: a ramp of the speed, cruise, and the same ramp down.
 
     The ramp is 10 x^3 - 15 x^4 + 6 x^5, so that the speed is twice continuously differentiable.
 
@@ -251,7 +251,7 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
 
 
 def slowed_step(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
-    """The time between two nodes with which the motion keeps the bounds of speed and acceleration between them, too.
+    """Lengthen the time between two nodes so that the motion keeps its bounds between them, too.
 
     A motion slowed down by a factor has its speed divided by it, and its acceleration divided by the factor's square.
 

@@ -210,12 +210,12 @@ def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str
 
 
 def rotors_of(geometry: TomlTable) -> int:
-    """The number of rotors that entries of the vehicle place: in a list, or on a circle."""
+    """Count the rotors that entries of the vehicle place: in a list, or on a circle."""
     return len(geometry.get("rotor") or geometry["spins"])
 
 
 def hover_thrust(mass: float, geometry: TomlTable) -> float:
-    """The thrust of each rotor in hover [N], for a mass [kg]; tilted rotors push more than they lift."""
+    """Compute the thrust of each rotor in hover [N], for a mass [kg]; tilted rotors push more than they lift."""
     upward = 0.0  # sum of the axes' vertical parts; only tilted rotors have entries of their axes
     for entry in geometry.get("rotor", []):
         if "axis" in entry:
@@ -224,7 +224,7 @@ def hover_thrust(mass: float, geometry: TomlTable) -> float:
 
 
 def drag_entries(parameters: Mapping[str, float], rotors: int, notes: list[str]) -> TomlTable:
-    """Entries of the vehicle for the drag: SIH_KDV v, as the propellers of ``rotors`` rotors have it in hover."""
+    """Make the entries of the vehicle for the drag: SIH_KDV v, as the propellers of ``rotors`` rotors have it in hover."""
     if "SIH_KDV" in parameters:
         notes.append("drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out")
     else:

@@ -144,7 +144,7 @@ class UavParams(NamedTuple):
 
 
 def prepare(params: UavParams) -> UavParams:
-    """The parameters with the numbers that follow from the nominal vehicle, after a check of the vehicle.
+    """Check the vehicle, and set the numbers that follow from the nominal vehicle.
 
     Raises:
         ConfigError: The vehicle cannot fly, a place or velocity has not three values, or a rule of a part is broken.

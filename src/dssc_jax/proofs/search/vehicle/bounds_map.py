@@ -69,7 +69,7 @@ class LinearVehicle:
 
 
 def linear_channels(problem: VehicleProblem, damping: Damping) -> dict[str, LinearChannel]:
-    """The linear channels by name, with the damping of drag."""
+    """Make the linear channels by name, with the damping of drag."""
     return {
         "x": planar_channel(problem, damping.plane),
         "z": vertical_channel(problem, damping.vertical),

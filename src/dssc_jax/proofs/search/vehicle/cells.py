@@ -100,7 +100,7 @@ class DeviationTable:
         self.entries: dict[int, ChannelDeviations] = {}
 
     def at(self, sigma: float) -> ChannelDeviations:
-        """The deviations in the smallest region of the grid that contains all |sigma| up to ``sigma``."""
+        """Return the deviations in the smallest region of the grid that contains all |sigma| up to ``sigma``."""
         step = math.ceil(math.log(max(sigma, SMALLEST_REGION)) / math.log(TABLE_RATIO))
         if step not in self.entries:
             region = TABLE_RATIO**step
@@ -159,13 +159,13 @@ def cell_bounds(problem: VehicleProblem, inflation_factor: float) -> CellBounds 
 
 
 def settled_bounds(problem: VehicleProblem, inflation_factor: float) -> VehicleBounds | Obstacle:
-    """Bounds of the vehicle that starts at rest, or on the nominal flight; or why there are none."""
+    """Search for bounds of the vehicle that starts at rest, or on the nominal flight; or say why there are none."""
     resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
     return best_bounds(replace(problem, channels=resting), inflation_factor, from_start=False)
 
 
 def lines_between(problem: VehicleProblem, name: str, sigma: float, share: float, widening: float) -> StraightLines:
-    """The best straight lines of a channel for a region of |sigma| between the settled vehicle's and the start's.
+    """Find the best straight lines of a channel for a region of |sigma| between the settled vehicle's and the start's.
 
     Args:
         problem: The vehicle.
@@ -325,7 +325,7 @@ def cell_fixed_point(
 
 
 def largest_change(before: Signals, after: Signals) -> float:
-    """The largest relative change of a bound."""
+    """Compute the largest relative change of a bound."""
     changes = []
     for name in CHANNELS:
         changes += [abs(bound / before[name][key] - 1.0) for key, bound in after[name].items()]
@@ -335,7 +335,7 @@ def largest_change(before: Signals, after: Signals) -> float:
 def input_effects(
     responses: CellResponses, inputs: list[np.ndarray], current: np.ndarray, *, is_last: bool
 ) -> np.ndarray:
-    """Bounds of what a channel's inputs in a cell and in the cells before cause in the cell, shape (rows,).
+    """Bound what a channel's inputs in a cell and in the cells before cause in the cell, shape (rows,).
 
     The input of the first cell acts from t = 0 on; its change from cell to cell acts from that cell on. A rise counts
     with an upper bound of the sum of effects, a fall with a lower bound.
@@ -364,7 +364,7 @@ def input_effects(
 
 
 def start_effects(search: CellSearch, name: str, cell: int) -> np.ndarray:
-    """Bounds of what the start and the constant |o| <= k g cause in a channel in one cell, shape (rows,).
+    """Bound what the start and the constant |o| <= k g cause in a channel in one cell, shape (rows,).
 
     Args:
         search: What the search in all cells has in common.

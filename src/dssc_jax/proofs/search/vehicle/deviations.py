@@ -235,5 +235,5 @@ def deviations_of(points: GainPoints, lines: StraightLines) -> ChannelDeviations
 
 
 def largest_ratio(ratios: np.ndarray, slope: float) -> float:
-    """The largest |f/sigma - slope| at points with f/sigma = ``ratios``, widened a little."""
+    """Compute the largest |f/sigma - slope| at points with f/sigma = ``ratios``, widened a little."""
     return RATIO_ROOM * float(np.max(np.abs(ratios - slope)))
