@@ -353,12 +353,8 @@ def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Weight
     """
     count = 0  # planned size of all batches so far
     batch_size = 0  # the first batch plans its own
-    failures = WeightedFailures(
-        points=np.empty((0, search.points.shape[1])),
-        noise_index=np.empty(0, int),
-        weights=np.empty(0),
-        weight_bound=0.0,
-    )
+    no_points = np.empty((0, search.points.shape[1]))
+    failures = WeightedFailures(no_points, noise_index=np.empty(0, int), weights=np.empty(0), weight_bound=0.0)
     while True:
         candidates = search.draw_candidates(max(CANDIDATES, 2 * batch_size))
         batch_size = batch_size or min(candidates.sample_size(settings.variation), MOST_AT_FIRST, settings.most)

@@ -224,7 +224,7 @@ def hover_thrust(mass: float, geometry: TomlTable) -> float:
 
 
 def drag_entries(parameters: Mapping[str, float], rotors: int, notes: list[str]) -> TomlTable:
-    """Make the entries of the vehicle for the drag: SIH_KDV v, as the propellers of ``rotors`` rotors have it in hover."""
+    """Make the vehicle's entries for the drag: SIH_KDV v, as the propellers of ``rotors`` rotors have it in hover."""
     if "SIH_KDV" in parameters:
         notes.append("drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out")
     else:
