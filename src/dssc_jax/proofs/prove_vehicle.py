@@ -158,11 +158,21 @@ def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
         proof = search_proof(problem, inflation_factor)
         if isinstance(proof, Obstacle):
             failure = proof if verdict is None else Obstacle.VERIFIER
-            return VehicleProved(problem, None, verdict, failure, time.perf_counter() - start_time)
+            return VehicleProved(
+                problem=problem, proof=None, verdict=verdict, failure=failure, seconds=time.perf_counter() - start_time
+            )
         verdict = verify_vehicle(json.loads(json.dumps(certificate_of(problem, proof))))
         if verdict.proved:
-            return VehicleProved(problem, proof, verdict, None, time.perf_counter() - start_time)
-    return VehicleProved(problem, None, verdict, Obstacle.VERIFIER, time.perf_counter() - start_time)
+            return VehicleProved(
+                problem=problem, proof=proof, verdict=verdict, failure=None, seconds=time.perf_counter() - start_time
+            )
+    return VehicleProved(
+        problem=problem,
+        proof=None,
+        verdict=verdict,
+        failure=Obstacle.VERIFIER,
+        seconds=time.perf_counter() - start_time,
+    )
 
 
 def search_proof(problem: VehicleProblem, inflation_factor: float) -> JsonObject | Obstacle:

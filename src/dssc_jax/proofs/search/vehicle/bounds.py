@@ -252,7 +252,7 @@ def checked_bounds(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | Obstac
     implied = apply_map(vehicle, deviations, y)
     if not slides(vehicle.problem, deviations, totals, implied.remainders):
         return Obstacle.SLIDING
-    return VehicleBounds(vehicle.lines, vehicle.damping, y, implied.rotors, totals)
+    return VehicleBounds(lines=vehicle.lines, damping=vehicle.damping, bounds=y, rotors=implied.rotors, totals=totals)
 
 
 def first_damping(problem: VehicleProblem) -> Damping:

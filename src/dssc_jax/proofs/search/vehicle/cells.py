@@ -215,8 +215,8 @@ def bounds_cell_by_cell(
         return Obstacle.SLIDING
     assert rotors is not None
     totals, _ = vehicle_totals(search.nominal, cells[-1])
-    final = VehicleBounds(lines, settled.damping, cells[-1], rotors, totals)
-    return CellBounds(final, settled, layout.samples, cells[:-1])
+    final = VehicleBounds(lines=lines, damping=settled.damping, bounds=cells[-1], rotors=rotors, totals=totals)
+    return CellBounds(final=final, settled=settled, samples=layout.samples, cells=cells[:-1])
 
 
 def cell_search(
