@@ -90,7 +90,7 @@ def write_function(
     for name, output in zip(extra_outputs, outputs[state_count:], strict=True):
         text.line(f"const {c_type(software.real)} {name} = {text.read(output)};")
     definitions = [*text.tables, *text.notation.helpers(), *text.functions.values()]
-    return FunctionLines(text.lines, read_parameters, read_readings, definitions)
+    return FunctionLines(lines=text.lines, parameters=read_parameters, readings=read_readings, definitions=definitions)
 
 
 def names_of_read_inputs(read_positions: Set[int], names: Sequence[str], first: int) -> list[str]:

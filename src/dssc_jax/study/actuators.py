@@ -171,7 +171,7 @@ def series_component(elements: list[tuple[str, Component]], place: str) -> Compo
         index, _, field = error.where.partition(".")  # such as "1.delay", for the second element
         path_of_element, _ = elements[int(index)]
         raise ConfigError(f"{path_of_element}.{field}", error.rule) from None
-    return Component(kind, model, params, tuple(numbers), elements=series)
+    return Component(kind=kind, model=model, params=params, numbers=tuple(numbers), elements=series)
 
 
 def require_one_form(config: StudyTable) -> None:

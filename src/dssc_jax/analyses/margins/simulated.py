@@ -149,7 +149,7 @@ def admissible_walk(
         raise ConfigError("points", f"must be in 2 .. {MOST_POINTS}, got {points}")
     if not 0 <= bisections <= MOST_BISECTIONS:
         raise ConfigError("bisections", f"must be in 0 .. {MOST_BISECTIONS}, got {bisections}")
-    return Walk(float(start), float(end), log, points, parted)
+    return Walk(start=float(start), end=float(end), log=log, points=points, parted=parted)
 
 
 def numbers_along(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:

@@ -119,7 +119,9 @@ def stratified_probability(
     stratum_points, stratum = points_in_strata(surrogate, edges, draws, dimension, rng)
     failed = counter(stratum_points, counter.unused_noise(len(stratum_points))) < 0.0
     failures = np.bincount(stratum[failed], minlength=len(draws))
-    return StratifiedEstimate(counter.simulations, weights, failures, draws, edges)
+    return StratifiedEstimate(
+        simulations=counter.simulations, weights=weights, failures=failures, draws=draws, edges=edges
+    )
 
 
 def stratum_counts(edges: np.ndarray, predictions: np.ndarray) -> np.ndarray:

@@ -264,7 +264,9 @@ class RareEvent(Analysis):
             method="splitting" if is_splitting else "importance sampling",
             refusal=self.refusal or None,
             by_method=MethodProbability(estimate.mean, estimate.mean_interval()),
-            plain=PlainFailures(plain.draws, plain.failures, plain.interval(), estimate.contradicted),
+            plain=PlainFailures(
+                draws=plain.draws, failures=plain.failures, interval=plain.interval(), contradicts=estimate.contradicted
+            ),
             variation=estimate.variation,
             simulations=estimate.simulations,
             plain_draws=estimate.equivalent_draws,

@@ -158,7 +158,12 @@ class KalmanFilter(NamedTuple):
         for first, density in noises:
             for i in range(first, first + 3):
                 covariance[i][i] = covariance[i][i] + density * density * dt
-        estimate = Motion(position, velocity, product(previous.attitude, rotation_step).normalised(), previous.rate)
+        estimate = Motion(
+            position=position,
+            velocity=velocity,
+            attitude=product(previous.attitude, rotation_step).normalised(),
+            rate=previous.rate,
+        )
         return memory._replace(estimate=estimate, covariance=tuple(map(tuple, covariance)))
 
     def correct(self, memory: KalmanMemory, readings: Aids, dt: float) -> KalmanMemory:
@@ -187,10 +192,10 @@ class KalmanFilter(NamedTuple):
         parts = (Vec3(*update.error[first : first + 3]) for first in range(0, STATES, 3))
         position, velocity, attitude, gyro_bias, accel_bias = parts
         corrected = Motion(
-            estimate.position + position,
-            estimate.velocity + velocity,
-            product(rotation_of(attitude), estimate.attitude).normalised(),
-            estimate.rate,
+            position=estimate.position + position,
+            velocity=estimate.velocity + velocity,
+            attitude=product(rotation_of(attitude), estimate.attitude).normalised(),
+            rate=estimate.rate,
         )
         return memory._replace(
             estimate=corrected,
