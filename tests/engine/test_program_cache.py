@@ -12,7 +12,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.trace_memory.memory import remembered
+from dssc_jax.core.trace_memory.memory import cached_by_subjects
 from dssc_jax.engine.batching import lane_of_study
 from dssc_jax.engine.compiled_lanes import compiled_lanes
 from dssc_jax.lanes import program_cache
@@ -179,7 +179,7 @@ def test_a_cache_that_cannot_be_used_costs_one_warning(tmp_path, monkeypatch, ca
     unusable(tmp_path / "home", kind)
     for name in "abc":
         assert program_cache.cached(name, lambda: b"program") == b"program"
-        assert remembered(name, lambda: [1, 2], name) == [1, 2]
+        assert cached_by_subjects(name, lambda: [1, 2], name) == [1, 2]
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1
     assert said.startswith(f"warning: nothing is kept in {tmp_path / 'home' / 'dssc_jax'} (")

@@ -17,7 +17,7 @@ from dssc_jax.report import html
 from dssc_jax.results import summary
 from dssc_jax.results.schema import empty_dataset
 from dssc_jax.results.summary import BATCH_POINTS, most_violated
-from dssc_jax.statistics import DataDriven, FixedCount, Look, clopper_pearson, compare_failures
+from dssc_jax.statistics import FixedCount, IntervalsAfterStop, Look, clopper_pearson, compare_failures
 
 STUDY = {
     "name": "several",
@@ -121,7 +121,7 @@ def test_the_interval_is_that_of_the_draws(swept, replicated):
     """A requirement's interval is made as that of the joint failure is, at every point."""
     look = {"draws": swept.study.config.draws, "lower": -1, "upper": 1000}
     stopped = dj.Result(swept.study, swept.dataset, {"stopping": {"looks": [look | {"failures": 0}], "stops": 3}})
-    assert stopped.method == DataDriven((Look(**look),), 3)
+    assert stopped.method == IntervalsAfterStop((Look(**look),), 3)
     for result in (stopped, replicated):
         for index, point in zip(np.ndindex(3, 2), result.summary(0.9)["points"], strict=True):
             for requirement, here in zip(point["requirements"], by_hand(result, index)[1], strict=True):

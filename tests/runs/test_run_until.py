@@ -7,7 +7,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.statistics import DataDriven, FixedCount, Replicated
+from dssc_jax.statistics import FixedCount, IntervalsAfterStop, Replicated
 
 TABLE = {
     "name": "small",
@@ -46,7 +46,7 @@ def test_the_result_is_that_of_the_final_number_of_draws(plain, tmp_path):
         np.testing.assert_array_equal(fixed.dataset[name], found.dataset[name], err_msg=name)
     loaded = dj.load(tmp_path / "r")
     assert loaded.method == found.method
-    assert isinstance(loaded.method, DataDriven)
+    assert isinstance(loaded.method, IntervalsAfterStop)
     (point,) = loaded.summary()["points"]
     (narrower,) = fixed.summary()["points"]
     assert point["interval"][1] - point["interval"][0] <= 0.15

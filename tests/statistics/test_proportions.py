@@ -3,8 +3,8 @@ import pytest
 from scipy import stats
 
 from dssc_jax.statistics import (
-    DataDriven,
     FixedCount,
+    IntervalsAfterStop,
     Look,
     Replicated,
     clopper_pearson,
@@ -61,7 +61,7 @@ def test_wilson_would_not_do():
 
 def test_every_method_names_itself_and_bounds_no_failure():
     none, some = np.zeros(160, dtype=bool), np.arange(160) % 10 == 0
-    for method in (FixedCount(), DataDriven((Look(160, -1, 161),), 3), Replicated(8, "scrambled Sobol")):
+    for method in (FixedCount(), IntervalsAfterStop((Look(160, -1, 161),), 3), Replicated(8, "scrambled Sobol")):
         assert method.name in describe_probability(some, method)
         assert "failure probability <= 0.0" in describe_probability(none, method)
         low, high = method.interval(some)

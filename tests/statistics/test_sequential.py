@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dssc_jax.statistics import AcceptReject, DataDriven, Look, UntilWidth, clopper_pearson, multistage_interval
+from dssc_jax.statistics import AcceptReject, IntervalsAfterStop, Look, UntilWidth, clopper_pearson, multistage_interval
 from dssc_jax.statistics.sequential import look_draws
 
 
@@ -101,7 +101,7 @@ def test_the_sequential_interval_covers(p):
         seen, failures, _ = stop(rule, plan, failed)
         low, high = interval(seen, failures, 0.95)
         hits += low <= p <= high
-        low, high = DataDriven(seen, rule.stops(5000)).interval(failed[: seen[-1].draws])
+        low, high = IntervalsAfterStop(seen, rule.stops(5000)).interval(failed[: seen[-1].draws])
         others += low <= p <= high
     assert hits >= 369  # 92.3 %, two and a half deviations below 95 %
     assert others >= 396

@@ -151,7 +151,7 @@ def test_what_is_no_expression_is_refused_in_words(text, reason):
 
 def support(text: str, **laws: list[float]) -> tuple[float, float]:
     """The ends of an expression of uniform numbers."""
-    return ParameterTable.of({name: {"uniform": ends} for name, ends in laws.items()}).expression(text).support
+    return ParameterTable.from_toml({name: {"uniform": ends} for name, ends in laws.items()}).expression(text).support
 
 
 def test_the_support_of_products_and_quotients_is_exact():

@@ -39,14 +39,14 @@ class StudySlacks:
         """Whether the loop has in-loop noise, so that two draws with the same numbers may differ."""
         return is_noisy(self.engine)
 
-    def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    def __call__(self, points: np.ndarray, noise_index: np.ndarray) -> np.ndarray:
         """Simulate one draw at each point, and return the slack of its worst requirement, shape (n,).
 
         Args:
             points: Points of the unit cube, shape (n, d).
-            noise: Index of the in-loop noise of each draw, shape (n,).
+            noise_index: Index of the in-loop noise of each draw, shape (n,).
         """
-        results = evaluate(self.engine, values_at(self.study, points), noise)
+        results = evaluate(self.engine, values_at(self.study, points), noise_index)
         self.simulations += len(points)
         if self.progress:
             self.progress(self.simulations, None)  # the total is not known
@@ -54,7 +54,7 @@ class StudySlacks:
 
 
 class SlackCounter:
-    """A :data:`SlackFunction` that counts its evaluations and provides indices of in-loop noise not used before.
+    """Count the evaluations of a :data:`SlackFunction`, and provide indices of in-loop noise not used before.
 
     Args:
         slack: Computes the slacks.
@@ -64,21 +64,23 @@ class SlackCounter:
         """Start both counts at 0."""
         self.slack = slack
         self.simulations = 0
-        self.indices = 0  # indices of in-loop noise provided so far
+        self.noise_count = 0  # indices of in-loop noise provided so far
 
-    def fresh(self, count: int) -> np.ndarray:
-        """Indices of in-loop noise that no point has used, shape (count,)."""
-        first = self.indices
-        self.indices += count
-        return np.arange(first, self.indices)
+    def unused_noise(self, count: int) -> np.ndarray:
+        """Return indices of in-loop noise that no point has used, shape (count,)."""
+        first = self.noise_count
+        self.noise_count += count
+        return np.arange(first, self.noise_count)
 
-    def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Compute the slack of each point, shape (n,); a point without a slack fails by an infinite amount.
+    def __call__(self, points: np.ndarray, noise_index: np.ndarray) -> np.ndarray:
+        """Compute the slack of each point, shape (n,).
+
+        NaN becomes -inf: the simulation produced no slack, which is a failure.
 
         Args:
             points: Points in the coordinates of a method, shape (n, d).
-            noise: Index of the in-loop noise of each point, shape (n,).
+            noise_index: Index of the in-loop noise of each point, shape (n,).
         """
         self.simulations += len(points)
-        slacks = self.slack(points, noise)
+        slacks = self.slack(points, noise_index)
         return np.where(np.isnan(slacks), -np.inf, slacks)

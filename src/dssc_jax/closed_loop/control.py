@@ -137,13 +137,13 @@ def first_signals(
     return differentiator, sensed, reference_near_measurement(loop, i, reference, sensed)
 
 
-def required_signals(loop: Loop, i: int, signals: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-    """The readings of measured signals that the controller of channel i takes, in its order; all if it names none."""
-    signals_of_controller = loop.controller[i].signals
-    if not signals_of_controller:
-        return signals
-    places = [signal.name for signal in loop.measures]
-    return tuple(signals[places.index(signal.name)] for signal in signals_of_controller)
+def required_signals(loop: Loop, i: int, readings: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+    """The readings that the controller of channel i asked for, in the order it asked; all if it asked for none."""
+    requested_signals = loop.controller[i].signals
+    if not requested_signals:
+        return readings
+    measured_names = [signal.name for signal in loop.measures]
+    return tuple(readings[measured_names.index(signal.name)] for signal in requested_signals)
 
 
 def reference_near_measurement(loop: Loop, i: int, reference: ReferencePoint, sensed: Measurement) -> ReferencePoint:

@@ -56,7 +56,7 @@ class Progress(NamedTuple):
         steps: Samples that the draw has completed.
         in_band: Number of consecutive samples, up to the last one, with errors small enough to settle; () for a loop
             without a rule for settled draws.
-        violations: Samples at which watched requirements were first violated, see
+        violations: Samples at which requirements of final violation were first violated, see
             :func:`~dssc_jax.closed_loop.metrics.requirements.watch`.
     """
 
@@ -91,7 +91,7 @@ def initial_progress(
     no_samples = jnp.zeros((), dtype=integer_type())
     in_band = () if loop.settled is None else zero
     state = initial_state(loop, params, key)
-    first_violations = as_arrays(tuple(0.0 for requirement in requirements if requirement.is_watched))
+    first_violations = as_arrays(tuple(0.0 for requirement in requirements if requirement.violation_is_final))
     return Progress(
         k=zero,
         state=state,

@@ -57,7 +57,7 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
         files: Files that were written, whose paths are printed.
     """
     answer = comparison.answer
-    show_line(f"{comparison.study.name}: {answer.log} over {answer.draws} draws, {samples_text(answer)}")
+    show_line(f"{comparison.study.name}: {answer.log} over {answer.draws} draws, {compared_samples_text(answer)}")
     if answer.p_value is None:
         show_line(NO_SPREAD)
     else:
@@ -75,16 +75,16 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
     show_files(files)
 
 
-def samples_text(answer: LogAnswer) -> str:
+def compared_samples_text(answer: LogAnswer) -> str:
     """Tell how many samples are compared, how many of them the log has, and whether it ends before the study does."""
-    text = f"{answer.samples} samples"
-    if answer.samples < answer.study_samples:
-        text = f"{answer.samples} of the study's {answer.study_samples} samples"
+    is_shorter = answer.samples < answer.study_samples
+    of_study = f" of the study's {answer.study_samples}" if is_shorter else ""
+    compared = f"{answer.samples}{of_study} samples"
     if answer.logged_samples < answer.samples:
-        text = f"which has a value at {answer.logged_samples} of {text}"
-    if answer.samples < answer.study_samples:
-        text += ": the log ends before the study"
-    return f"{text}; its file is cut off within a message" if answer.cut else text
+        compared = f"which has a value at {answer.logged_samples} of {compared}"
+    ending = ": the log ends before the study" if is_shorter else ""
+    cut = "; its file is cut off within a message" if answer.cut else ""
+    return f"{compared}{ending}{cut}"
 
 
 def show_replay(summary: Mapping[str, Any], study: Study) -> None:
@@ -143,7 +143,7 @@ def held_text(held_counts: Mapping[str, int], samples: int, subject: str, betwee
 
 
 def departure_table(answer: LogAnswer) -> Table:
-    """Table of how far the logged signals depart from the draws; signals that are equal in all draws are left out."""
+    """Tabulate how far the logged signals depart from the draws, without signals that are equal in all draws."""
     rows = []
     for name, signal in answer.signals.items():
         if signal.outside_share is None:
@@ -161,7 +161,7 @@ def departure_table(answer: LogAnswer) -> Table:
 
 
 def constant_signal_table(answer: LogAnswer) -> Table:
-    """Table of the largest difference between the log and each signal that is equal in all draws."""
+    """Make the table of the largest difference between the log and each signal that is equal in all draws."""
     rows = []
     for name, largest in answer.without_spread.items():
         rows.append((f"{name} [{answer.signals[name].unit}]", f"{largest:.4g}"))
@@ -188,7 +188,7 @@ def show_next_flight(outlook: NextFlight, files: list[Path]) -> None:
 
 
 def limit_table(answer: NextFlightAnswer) -> Table:
-    """Table of the limits of each metric for the next flight, beside the flights so far and the draws."""
+    """Make the table of the limits of each metric for the next flight, beside the flights so far and the draws."""
     rows = []
     for name, metric in answer.metrics.items():
         beyond = "" if metric.draws_beyond is None else f"{100 * metric.draws_beyond:.3g} %"
@@ -217,7 +217,7 @@ def beyond_text(answer: NextFlightAnswer) -> str:
 
 
 def counts_table(test: StudyTest) -> Table:
-    """Table of the numbers of flights that would refute or confirm the study, by the true share of extreme flights."""
+    """Tabulate the numbers of flights that would refute or confirm the study, by the true share of extreme flights."""
     rows = []
     for share, refuting_count in test.flights_to_refute.items():
         counts = (refuting_count, test.flights_to_confirm[share])
@@ -304,7 +304,7 @@ def show_estimates(numbers: Mapping[str, Any]) -> None:
 
 
 def search_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Lines on the search for the best estimates, and on other minima of the residual."""
+    """Describe the search for the best estimates, and on other minima of the residual."""
     starts = f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum"
     refined = ", with those that refine the best minimum" if summary["search_cut"] else ""
     lines = [f"{starts}; {summary['simulations']} simulations{refined}"]
@@ -318,7 +318,7 @@ def search_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def untried_lines(reason: str) -> list[str]:
-    """The line on parts that the study may lack and that were not tried.
+    """Name the parts that the study may lack and that were not tried.
 
     Args:
         reason: Why; empty: they were tried, and there is no line.
@@ -332,7 +332,7 @@ def untried_lines(reason: str) -> list[str]:
 
 
 def kept_lines(widths: Mapping[str, float | None]) -> list[str]:
-    """Lines on the numbers that the flight does not identify, which keep their laws.
+    """Name the numbers that the flight does not identify, which keep their laws.
 
     Args:
         widths: Standard deviation that the flight leaves to each number, relative to that of its law, by name; None:

@@ -170,7 +170,7 @@ def requirement_rows(study: "Study", point: SummaryRow, draws_equal: bool) -> li
         cells = failure_cells(requirement, point["draws"], draws_equal)
         time = requirement["violated_at"]
         time_text = "-" if time is None else f"{time:.4g}"
-        rows.append((rule.short, *cells, str(requirement["alone"]), str(requirement["first"]), time_text))
+        rows.append((rule.short_text, *cells, str(requirement["alone"]), str(requirement["first"]), time_text))
     return rows
 
 

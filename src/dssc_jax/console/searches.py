@@ -73,24 +73,39 @@ def show_selection(selection: Selection, files: list[Path]) -> None:
 
 def show_verdict(verdict: Verdict, objective: ObjectiveAnswer) -> None:
     """Print objective, limits and failures at the start and at the result, on draws that were not used to tune."""
+    show_table((f"on {verdict.draws} fresh draws", "start", "result", "limit"), verdict_rows(verdict, objective))
+    show_paragraph(reduction_sentence(verdict))
+    show_paragraph(difference_sentence(verdict))
+
+
+def verdict_rows(verdict: Verdict, objective: ObjectiveAnswer) -> list[tuple[str, str, str, str]]:
+    """Make the rows of a verdict's table: what is compared, at the start, at the result, and its limit."""
     name = f"{objective.aggregate} {objective.level:g}" if objective.aggregate == "cvar" else objective.aggregate
     start, result = verdict.objective
     rows = [(f"objective ({name})", objective_text(start), objective_text(result), "")]
     for metric, (bound, mean_at_start, mean_at_result) in verdict.limits.items():
-        means = (objective_text(mean_at_start), objective_text(mean_at_result))
-        rows.append((f"mean {metric}", *means, f"<= {bound:.5g}"))
+        rows.append(
+            (f"mean {metric}", objective_text(mean_at_start), objective_text(mean_at_result), f"<= {bound:.5g}")
+        )
     failed_at_start, failed = verdict.failures
     rows.append(("failed draws", str(failed_at_start), str(failed), ""))
     if len(verdict.requirements) > 1:
         for text, (at_start, at_result) in verdict.requirements.items():
             rows.append((f"  violate {text}", str(at_start), str(at_result), ""))
-    show_table((f"on {verdict.draws} fresh draws", "start", "result", "limit"), rows)
-    low, high = verdict.reduction_interval
+    return rows
+
+
+def reduction_sentence(verdict: Verdict) -> str:
+    """State by how much the tuning reduced the objective."""
     reduction = number_text(verdict.reduction, ".1%")
-    interval = f"[{number_text(low, '.1%')}, {number_text(high, '.1%')}]"
-    show_paragraph(f"reduction {reduction} in {interval} (95 %, bootstrap over draws)")
+    low, high = (number_text(end, ".1%") for end in verdict.reduction_interval)
+    return f"reduction {reduction} in [{low}, {high}] (95 %, bootstrap over draws)"
+
+
+def difference_sentence(verdict: Verdict) -> str:
+    """State by how much the cost of a draw changed."""
     median, low, high = (number_text(value, "+.4g") for value in verdict.difference)
-    show_paragraph(f"cost draw by draw, result less start: median {median} in [{low}, {high}] (95 %, exact)")
+    return f"cost draw by draw, result less start: median {median} in [{low}, {high}] (95 %, exact)"
 
 
 def show_search(study: Study, search: SearchFacts) -> None:

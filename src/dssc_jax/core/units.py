@@ -47,7 +47,7 @@ class ChannelUnits(NamedTuple):
         >>> motor = ChannelUnits("rad/s", "V", "shaft speed", "armature voltage")
         >>> motor.of("y/(s^2 u)"), motor.of("u^2 s"), motor.of("u (y/s)^(-1/2)")
         ('rad/(s^3 V)', 'V^2 s', 'V s rad^(-1/2)')
-        >>> motor.named("largest output error")
+        >>> motor.describe("largest output error")
         'largest shaft speed error'
     """
 
@@ -57,15 +57,15 @@ class ChannelUnits(NamedTuple):
     command_meaning: str = "command"
 
     def of(self, unit: str) -> str:
-        """The unit with this channel's units in place of the symbols ``y`` and ``u``.
+        """Put this channel's units in place of the symbols ``y`` and ``u`` of a unit.
 
         Args:
             unit: A unit such as ``y/s^2``, or several with commas between them.
         """
         return ", ".join(substitute_units(part, self.output, self.command) for part in unit.split(", "))
 
-    def named(self, meaning: str) -> str:
-        """The meaning with this channel's meanings in place of the words ``output`` and ``command``."""
+    def describe(self, meaning: str) -> str:
+        """Put this channel's meanings in place of the words ``output`` and ``command`` of a meaning."""
         replacements = {"output": self.output_meaning, "command": self.command_meaning}
         return re.sub(r"\b(output|command)\b", lambda match: replacements[match[0]], meaning)
 
@@ -82,7 +82,7 @@ ANGLE = ChannelUnits("rad", "rad/s")
 
 @cache
 def substitute_units(unit: str, output: str, command: str) -> str:
-    """A unit with the symbols ``y`` and ``u`` replaced by two units, and reduced.
+    """Replace the symbols ``y`` and ``u`` in a unit by two units, and reduce the result.
 
     Args:
         unit: The unit; without these symbols it is returned as it is.
@@ -105,7 +105,7 @@ def multiply(total: Powers, factor: Powers, power: Fraction) -> None:
 
 
 def parse_unit(text: str) -> Powers:
-    """The exponents of a unit such as ``N m``, ``rad/s^2`` or ``V (y/s)^(-1/2)``.
+    """Parse the exponents of a unit such as ``N m``, ``rad/s^2`` or ``V (y/s)^(-1/2)``.
 
     A slash divides by the next factor alone.
 
@@ -125,7 +125,7 @@ def parse_unit(text: str) -> Powers:
 
 
 def scaled_symbols(text: str) -> dict[str, tuple[float, str]]:
-    """The symbols in a unit that stand for a multiple of an SI unit, each with that factor and the SI unit.
+    """Find the symbols in a unit that stand for a multiple of an SI unit, each with that factor and the SI unit.
 
     Example:
         >>> scaled_symbols("uH/ohm"), scaled_symbols("kg m^2")
@@ -179,7 +179,7 @@ def parse_product(text: str, position: int) -> tuple[Powers, int]:
 
 
 def unit_text_of(powers: Powers) -> str:
-    """A unit as text: ``m/s^2``, ``rad/(s^3 V)``, ``(m/s)^(1/2)``; ``1`` if it is dimensionless.
+    """Write a unit as text: ``m/s^2``, ``rad/(s^3 V)``, ``(m/s)^(1/2)``; ``1`` if it is dimensionless.
 
     The root of a rate stays together, as in ``(m/s)^(1/2)``: the square-root functions of DSSC depend on
     |sigma|^(1/2).
@@ -215,7 +215,7 @@ def unit_text_of(powers: Powers) -> str:
 
 
 def power_text(symbol: str, power: Fraction) -> str:
-    """One factor of a unit, such as ``s``, ``s^2`` or ``V^(1/2)``."""
+    """Write one factor of a unit, such as ``s``, ``s^2`` or ``V^(1/2)``."""
     if power == 1:
         return symbol
     return f"{symbol}^{power}" if power.denominator == 1 else f"{symbol}^({power})"

@@ -137,11 +137,11 @@ def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFi
 
 
 def require_design_tables(table: TomlTable, complete: bool) -> None:
-    """Require the names of a design file, and tables that can stand together.
+    """Check that every table is known, that the name is text, and that no tables exclude each other.
 
     Args:
         table: Content of the file.
-        complete: As in :func:`load_design`.
+        complete: Whether the file must define a whole design; otherwise what it leaves out is optimised.
 
     Raises:
         ConfigError: A name is unknown, the design's name is not text, or tables exclude each other or are missing.
@@ -205,7 +205,7 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> FoundParameters:
 
 
 def default_criterion(bounds: Bounds) -> str:
-    """The criterion of a goal that states none: the smallest residual, or without inputs the fastest decay.
+    """Choose the criterion of a goal that states none: the smallest residual, or without inputs the fastest decay.
 
     Without a reference and a disturbance, the residual of every design is 0.
     """
@@ -254,7 +254,7 @@ def design_toml(design_file: DesignFile) -> str:
 
 
 def functions_toml(parameters: Parameters) -> str:
-    """The table ``[controller]`` of a study that uses the parameters.
+    """Write the table ``[controller]`` of a study that uses the parameters.
 
     k_o = 1 is arbitrary, since only k_o tau_av matters.
     """

@@ -64,7 +64,7 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     rows.append([-x * unit for x in a] + [-l0])
     rows.append([zero] * m + [-l0])
     matrix = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
-    p = lyapunov(matrix)
+    p = solve_lyapunov(matrix)
     rising_eigenvalues = xp.linalg.eigvalsh(p)
     low = rising_eigenvalues[..., 0]
     high = rising_eigenvalues[..., -1]
@@ -77,8 +77,8 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     )
 
 
-def lyapunov(matrix: Numeric) -> Numeric:
-    """The symmetric P with A^T P + P A = -2 I, for each matrix A of a stack, shape (..., n, n).
+def solve_lyapunov(matrix: Numeric) -> Numeric:
+    """Solve A^T P + P A = -2 I for the symmetric P, for each matrix A of a stack, shape (..., n, n).
 
     The entries of P are the unknowns of one linear system of order n^2.
     """
@@ -92,11 +92,11 @@ def lyapunov(matrix: Numeric) -> Numeric:
     system = (left_product + right_product).reshape(*matrix.shape[:-2], n * n, n * n)
     right_side = xp.broadcast_to(-2.0 * identity.reshape(n * n, 1), (*matrix.shape[:-2], n * n, 1))
     p = xp.linalg.solve(system, right_side).reshape(matrix.shape)
-    return 0.5 * (p + xp.swapaxes(p, -1, -2))
+    return 0.5 * (p + xp.swapaxes(p, -1, -2))  # rounding makes P slightly asymmetric
 
 
 def worst_condition(p: Parameters, bounds: Bounds) -> Numeric:
-    """Largest condition number of P over the interval of k_p, which is attained at one of its ends."""
+    """Compute the largest condition number of P over the interval of k_p, which is attained at one of its ends."""
     at_k_min = eigenvalues_of_p(bounds.k_min, p.eps, p.gamma)
     at_k_max = eigenvalues_of_p(bounds.k_max, p.eps, p.gamma)
     return greater(at_k_min.condition, at_k_max.condition)
@@ -117,7 +117,7 @@ class SmallGain(NamedTuple):
 
 
 def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
-    """The smallest phi_b for which the interconnection of tracking error and sliding motion is stable.
+    """Compute the smallest phi_b for which the interconnection of tracking error and sliding motion is stable.
 
     The condition is phi_b^2 > |P_eta B_sigma| |P B| (kappa_e + |C_eta A_eta|) cond(P) cond(P_eta)/eps. Its right side
     does not depend on phi_b, so a sufficiently large phi_b always satisfies it.
@@ -163,7 +163,7 @@ class Gains(NamedTuple):
 
 
 def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, eigenvalues: EigenvalueRange) -> Gains:
-    """The coefficients of the comparison system, with corrected powers of the eigenvalues.
+    """Compute the coefficients of the comparison system, with corrected powers of the eigenvalues.
 
     Args:
         p: Parameters of Table 1.

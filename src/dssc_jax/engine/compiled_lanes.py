@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.trace_memory.memory import remembered
+from dssc_jax.core.trace_memory.memory import cached_by_subjects
 from dssc_jax.lanes.gpu import ptx
 from dssc_jax.lanes.gpu.driver import GpuError
 from dssc_jax.lanes.gpu.kernel_lanes import KernelLanes
@@ -40,7 +40,7 @@ def compiled_lanes(
 
     def recall(compute: Callable[[], Any]) -> Any:
         """The lane's signature from the cache, or computed and kept there."""
-        return remembered("signature", compute, lane, arguments, width, strict, translator)
+        return cached_by_subjects("signature", compute, lane, arguments, width, strict, translator)
 
     return lanes(lane, *arguments, width=width, strict=strict, recall=recall)
 

@@ -75,7 +75,7 @@ class Evaluator:
         return Engine(self.swept, self.lanes)
 
     def values_of_draws(self, draws: slice) -> Arrays:
-        """Values of the uncertain numbers that lanes do not set, in a range of draws, shape (draws,) each."""
+        """Draw the values of the uncertain numbers that lanes do not set, in a range of draws, shape (draws,) each."""
         return values_of_draws(self.swept, draws)
 
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
@@ -137,12 +137,12 @@ def require_values_between(study: Study, extents: Mapping[str, tuple[float, floa
 
 
 def plant_and_controllers(study: Study) -> list[tuple[str, Plant | Controller]]:
-    """The parts of a study that may be native code, each with the name of its table."""
+    """List the parts of a study that may be native code, each with the name of its table."""
     return [("plant", study.loop.plant), *(("controller", part) for part in study.loop.controller)]
 
 
 def native_code(study: Study) -> str:
-    """The first file of native code that the plant or a controller calls; empty if there is none.
+    """Find the first file of native code that the plant or a controller calls; empty if there is none.
 
     Without native code the whole loop can be differentiated.
     """
@@ -252,24 +252,23 @@ class GradientEvaluator(Evaluator):
 
 
 def worst_slopes(requirements: Sequence[Requirement], results: Arrays, names: Sequence[str]) -> np.ndarray:
-    """Derivatives of each lane's smallest relative slack with respect to some numbers.
+    """Compute the gradient of each lane's smallest slack with respect to the numbers in ``names``, shape (n, numbers).
 
-    The slack of a requirement is relative to the requirement's scale.
+    The slacks are divided by the scales of their requirements.
 
     Args:
         requirements: The study's requirements.
         results: Results of a :class:`GradientEvaluator`, shape (n,) each.
-        names: The numbers.
-
-    Returns:
-        Shape (n, numbers).
+        names: Dotted names of the numbers.
     """
     binding = binding_requirement(requirements, results)  # index of the requirement, shape (n,)
     lanes = np.arange(len(binding))
     columns = []
     for name in names:
-        slopes = np.array([results[Derivative(rule.name, name)] / rule.scale for rule in requirements])
-        columns.append(slopes[binding, lanes])
+        slopes = []
+        for requirement in requirements:
+            slopes.append(results[Derivative(requirement.name, name)] / requirement.scale)
+        columns.append(np.array(slopes)[binding, lanes])
     return np.stack(columns, axis=1)
 
 
@@ -296,7 +295,7 @@ def metrics_and_slacks(
 
 
 def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, Scalar]) -> dict[Any, Scalar]:
-    """Results and derivatives as one pytree.
+    """Join results and derivatives in one pytree.
 
     It is an OrderedDict, because JAX would sort the keys of a dict, and strings and derivatives have no order.
     """

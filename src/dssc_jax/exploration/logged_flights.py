@@ -82,7 +82,7 @@ class LoggedFlights:
             numbers = [limits, h.p[f"{beyond_text(answer)}."], counts]
             if answer.warnings:
                 rows = [(warning.log, warning.signal, warning.text) for warning in answer.warnings]
-                numbers.append(table("Warnings", ("log", "signal", "warning"), rows, words=3))
+                numbers.append(table("Warnings", ("log", "signal", "warning"), rows, text_columns=3))
         else:
             numbers = analysis_sections.numbers(AnalysisSubject(analysis)).body
         headline = f"{analysis.headline}."

@@ -61,7 +61,7 @@ class ChannelMemory(NamedTuple):
 
     Args:
         sigma: The last known sigma.
-        gap: Number of samples since then; 0: sigma was never known.
+        gap: Number of samples since then, from 1 on; 0: sigma was never known.
         seen: The state of the disturbance's enclosure, a :class:`SeenDisturbance`; () if no bound uses it.
     """
 
@@ -142,7 +142,7 @@ def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> t
     raised = [outside]
     memories = []
     for i, channel in enumerate(premises.channels):
-        memory, flags = channel_flags(premises, channel, state.channels[i], sample.channels[i], deviations[i])
+        memory, flags = check_channel(premises, channel, state.channels[i], sample.channels[i], deviations[i])
         memories.append(memory)
         raised += flags
     if premises.tilt is not None:
@@ -180,11 +180,11 @@ def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[D
         which is true at no sample but the first that has every channel.
     """
     outside = []
-    for channel, at in zip(premises.channels, deviations, strict=True):
+    for channel, errors in zip(premises.channels, deviations, strict=True):
         if channel.start is not None:
             within_e, within_e_dot = channel.start
-            outside.append(is_outside(at.e, within_e, at.rounding / channel.l0))
-            outside.append(is_outside(at.e_dot, within_e_dot, at.rounding))
+            outside.append(is_outside(errors.e, within_e, errors.rounding / channel.l0))
+            outside.append(is_outside(errors.e_dot, within_e_dot, errors.rounding))
     if premises.plane_start is not None:
         x, y = deviations[:2]
         l0 = premises.channels[0].l0
@@ -192,43 +192,46 @@ def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[D
         outside.append(jnp.greater(plane_norm(x.e, y.e), distance + (x.rounding + y.rounding) / l0))
         outside.append(jnp.greater(plane_norm(x.e_dot, y.e_dot), fast + (x.rounding + y.rounding)))
     known = deviations[0].known
-    for at in deviations[1:]:
-        known = known & at.known
+    for errors in deviations[1:]:
+        known = known & errors.known
     begins = known & jnp.equal(state.started, 0.0)
     return jnp.where(begins, 1.0, state.started), begins & any_of(outside)
 
 
-def channel_flags(
-    premises: Premises, channel: ChannelPremises, memory: ChannelMemory, sample: ChannelSample, at: Deviation
+def check_channel(
+    premises: Premises, channel: ChannelPremises, memory: ChannelMemory, sample: ChannelSample, errors: Deviation
 ) -> tuple[ChannelMemory, list[jax.Array]]:
-    """The next memory of a channel, and its flags in the order of ``channel.flags()``.
+    """Compare one sample of a channel with the bounds that the proof assumes.
 
     Args:
         premises: The bounds of the flight.
         channel: The bounds of the channel.
         memory: The state of the channel before the sample.
         sample: The signals of the channel.
-        at: The tracking errors of the channel.
+        errors: The tracking errors of the channel.
+
+    Returns:
+        The state for the next sample, and a flag for each exceeded bound, in the order of ``channel.flags()``.
     """
     begun = jnp.greater(memory.gap, 0.0)
-    flags = [at.known & jnp.greater(jnp.abs(at.e), channel.e)]
+    flags = [errors.known & jnp.greater(jnp.abs(errors.e), channel.e)]
     if channel.e_dot is not None:
-        flags.append(at.known & jnp.greater(jnp.abs(at.e_dot), channel.e_dot))
-    flags.append(at.known & jnp.greater(jnp.abs(at.sigma), channel.sigma))
+        flags.append(errors.known & jnp.greater(jnp.abs(errors.e_dot), channel.e_dot))
+    flags.append(errors.known & jnp.greater(jnp.abs(errors.sigma), channel.sigma))
     if channel.sigma_slope is not None:
-        allowed = channel.sigma_slope * premises.sample_time * memory.gap + 2.0 * at.rounding
-        change = jnp.abs(at.sigma - memory.sigma)
-        flags.append(at.known & begun & jnp.greater(change, allowed))
+        allowed = channel.sigma_slope * premises.sample_time * memory.gap + 2.0 * errors.rounding
+        change = jnp.abs(errors.sigma - memory.sigma)
+        flags.append(errors.known & begun & jnp.greater(change, allowed))
     if channel.slides:
         flags.append(is_finite(sample.sliding_margin) & jnp.less(sample.sliding_margin, 0.0))
     seen = memory.seen
     if channel.disturbance is not None:
         seen, beyond = see(
-            channel.disturbance, memory.seen, sample.y, sample.y_dot, at.known, sample.u_p, premises.sample_time
+            channel.disturbance, memory.seen, sample.y, sample.y_dot, errors.known, sample.u_p, premises.sample_time
         )
         flags += [beyond.level, beyond.slope]
-    gap = jnp.where(at.known, 1.0, jnp.where(begun, memory.gap + 1.0, 0.0))
-    return ChannelMemory(jnp.where(at.known, at.sigma, memory.sigma), gap, seen), flags
+    gap = jnp.where(errors.known, 1.0, jnp.where(begun, memory.gap + 1.0, 0.0))
+    return ChannelMemory(jnp.where(errors.known, errors.sigma, memory.sigma), gap, seen), flags
 
 
 def is_finite(number: Scalar) -> jax.Array:

@@ -113,7 +113,7 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
     ranks = 1 + spaced_indices(len(finite)) if len(finite) else np.array([], int)  # from 1 on, as many as fit
     x_values = finite[ranks - 1]
     if not isinstance(result.method, Replicated):
-        interval = clopper_pearson(ranks, values.size, result.method.level(CONFIDENCE))
+        interval = clopper_pearson(ranks, values.size, result.method.confidence_per_look(CONFIDENCE))
         low, high = interval.T
         ax.fill_between(x_values, low, high, color=BLUE, alpha=0.2, step="post", linewidth=0.0, label="95 % interval")
     marker = "o" if len(x_values) < MOST_MARKED_STEPS else None

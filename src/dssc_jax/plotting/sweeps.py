@@ -164,8 +164,8 @@ def standing(result: Result, ax: Axes | None = None) -> Figure:
 
 
 def required_text(result: Result) -> str:
-    """The study's requirements in one line; formulas are given by their names."""
-    texts = [requirement.short for requirement in result.study.requirements]
+    """Write the study's requirements in one line; formulas are given by their names."""
+    texts = [requirement.short_text for requirement in result.study.requirements]
     return "; ".join(texts) or "the draw stays finite"
 
 

@@ -19,8 +19,8 @@ VEHICLE_VERSION = 2
 """Version of the certificates of vehicles."""
 VEHICLE_KIND = "vehicle"
 """The entry ``kind`` of a vehicle's certificate."""
-ROOM_FACTORS = (1.0, 10.0)
-"""Factors of the room that the search leaves for the verifier; the next one is tried if the verifier rejects."""
+INFLATION_FACTORS = (1.0, 10.0)
+"""Multiples of the usual widening of bounds for the verifier; the next one is tried if the verifier rejects."""
 ROUNDED_START = 1e-9
 """Bounds of a start [m], [m/s], [rad] that are only there for rounding."""
 VEHICLE_REASONS = {
@@ -78,7 +78,7 @@ class VehicleProved:
         return VEHICLE_REASONS[self.failure] + detail
 
     def summary(self) -> JsonObject:
-        """A table of the outcome, in JSON's types, with bounds from the start on and once settled, in SI units."""
+        """Make a table of the outcome, in JSON's types, with bounds from the start on and once settled, in SI units."""
         no_bounds = {"bounds": None, "settled": None}
         return {
             "proved": self.complete,
@@ -93,7 +93,7 @@ class VehicleProved:
         }
 
     def statement(self) -> str:
-        """The proved statement, in a few sentences."""
+        """State what is proved, in a few sentences."""
         if self.verdict is None or self.failure:
             return f"Nothing is proved: {self.reason}."
         wind_h, wind_z = self.problem.wind
@@ -142,7 +142,7 @@ def vehicle_words(problem: VehicleProblem) -> list[str]:
 
 
 def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObject:
-    """The content of a certificate's file, from a problem and a proof, or None for no proof."""
+    """Make the content of a certificate's file, from a problem and a proof, or None for no proof."""
     return {"version": VEHICLE_VERSION, "kind": VEHICLE_KIND, "problem": problem.to_dict(), "proof": proof}
 
 
@@ -154,30 +154,40 @@ def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
     """
     start_time = time.perf_counter()
     verdict: VehicleVerdict | None = None
-    for room_factor in ROOM_FACTORS:
-        proof = search_proof(problem, room_factor)
+    for inflation_factor in INFLATION_FACTORS:
+        proof = search_proof(problem, inflation_factor)
         if isinstance(proof, Obstacle):
             failure = proof if verdict is None else Obstacle.VERIFIER
-            return VehicleProved(problem, None, verdict, failure, time.perf_counter() - start_time)
+            return VehicleProved(
+                problem=problem, proof=None, verdict=verdict, failure=failure, seconds=time.perf_counter() - start_time
+            )
         verdict = verify_vehicle(json.loads(json.dumps(certificate_of(problem, proof))))
         if verdict.proved:
-            return VehicleProved(problem, proof, verdict, None, time.perf_counter() - start_time)
-    return VehicleProved(problem, None, verdict, Obstacle.VERIFIER, time.perf_counter() - start_time)
+            return VehicleProved(
+                problem=problem, proof=proof, verdict=verdict, failure=None, seconds=time.perf_counter() - start_time
+            )
+    return VehicleProved(
+        problem=problem,
+        proof=None,
+        verdict=verdict,
+        failure=Obstacle.VERIFIER,
+        seconds=time.perf_counter() - start_time,
+    )
 
 
-def search_proof(problem: VehicleProblem, room_factor: float) -> JsonObject | Obstacle:
+def search_proof(problem: VehicleProblem, inflation_factor: float) -> JsonObject | Obstacle:
     """Search for bounds that imply themselves, in cells of time first if the vehicle starts away from its rest.
 
     Args:
         problem: The vehicle.
-        room_factor: Factor of the room that is left for the verifier.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
 
     Returns:
         The proof as a certificate holds it, or why none is found.
     """
     if problem.starts_away:
-        bounds_in_cells = cell_bounds(problem, room_factor)
+        bounds_in_cells = cell_bounds(problem, inflation_factor)
         if not isinstance(bounds_in_cells, Obstacle):
             return cells_proof_of(problem, bounds_in_cells)
-    bounds = best_bounds(problem, room_factor)
+    bounds = best_bounds(problem, inflation_factor)
     return bounds if isinstance(bounds, Obstacle) else proof_of(problem, bounds)

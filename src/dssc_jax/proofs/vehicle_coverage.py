@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.core.contracts import Controller, Unmodelled
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.core.signals import Scalar
 from dssc_jax.design.ends import Ends, ends_of
@@ -52,7 +52,7 @@ def is_vehicle(study: Study) -> bool:
 
 
 def vehicle_problem_of(study: Study) -> VehicleProblem:
-    """The problem of a vehicle's study without its sweep; laws become the intervals of their support.
+    """Make the problem of a vehicle's study without its sweep; laws become the intervals of their support.
 
     Raises:
         NotCovered: A part of the loop is outside of the theorem; the message gives the reason.
@@ -148,7 +148,7 @@ def require_loop(study: Study) -> None:
 
 
 def require_inner_loop(plant: Ends) -> InnerGains:
-    """The gains of the inner loops; require those of the article, in the variant that the theorem covers.
+    """Return the gains of the inner loops; require those of the article, in the variant that the theorem covers.
 
     Raises:
         NotCovered: The inner loops are others, an option is outside of the theorem, or a gain is uncertain.
@@ -200,12 +200,12 @@ def require_geometry(plant: Ends) -> None:
 
 
 def interval_of(values: Sequence[Scalar]) -> Interval:
-    """The smallest interval that contains some values."""
+    """Find the smallest interval that contains some values."""
     return float(min(values)), float(max(values))
 
 
 def with_rounding_room(interval: Interval) -> Interval:
-    """An interval widened by the rounding errors of its ends; the exact number 1 stays as it is."""
+    """Widen an interval by the rounding errors of its ends; the exact number 1 stays as it is."""
     if interval == ONE:
         return interval
     low, high = interval
@@ -213,7 +213,7 @@ def with_rounding_room(interval: Interval) -> Interval:
 
 
 def quotient(a: Interval, b: Interval) -> Interval:
-    """The interval of a/b for positive a and b in intervals; exactly 1 for a number over itself."""
+    """Enclose a/b for positive a and b in intervals; exactly 1 for a number over itself."""
     a_low, a_high = a
     b_low, b_high = b
     if a == b and a_low == a_high:
@@ -222,7 +222,7 @@ def quotient(a: Interval, b: Interval) -> Interval:
 
 
 def product(a: Interval, b: Interval) -> Interval:
-    """The interval of a b for positive a and b in intervals; an exact factor of 1 adds no rounding."""
+    """Enclose a b for positive a and b in intervals; an exact factor of 1 adds no rounding."""
     if a == ONE:
         return b
     if b == ONE:
@@ -233,7 +233,7 @@ def product(a: Interval, b: Interval) -> Interval:
 
 
 def delay_of(study: Study, ends: Ends) -> float:
-    """Delay of the commands [samples], the same in all channels; 0 without unmodelled dynamics.
+    """Return the delay of the commands [samples], the same in all channels; 0 without unmodelled dynamics.
 
     Raises:
         NotCovered: The unmodelled dynamics are not a single delay, or it is uncertain or differs between channels.
@@ -250,7 +250,7 @@ def delay_of(study: Study, ends: Ends) -> float:
 
 
 def wind_of(study: Study, ends: Ends) -> tuple[float, float]:
-    """Bounds of the horizontal and of the vertical wind [m/s].
+    """Return bounds of the horizontal and of the vertical wind [m/s].
 
     Raises:
         NotCovered: The kind of wind states no bounds.
@@ -276,7 +276,7 @@ def channels_of(study: Study, ends: Ends) -> dict[str, ChannelProblem]:
 
 
 def channel_of(study: Study, place: int, gains: object, initial: tuple[float, float]) -> ChannelProblem:
-    """The problem of a single channel: its controller, and bounds of its start.
+    """Make the problem of a single channel: its controller, and bounds of its start.
 
     Args:
         study: The study.
@@ -287,10 +287,30 @@ def channel_of(study: Study, place: int, gains: object, initial: tuple[float, fl
     Raises:
         NotCovered: The controller is outside of the theorem.
     """
-    name = study.loop.channels[place]
-    member = study.loop.controller[place]
+    covered_gains = require_covered_controller(study.loop.channels[place], study.loop.controller[place], gains)
+    return ChannelProblem(
+        l0=float(covered_gains.l0),
+        functions=functions_content(covered_gains.functions),
+        rho=float(covered_gains.rho.rho),
+        nominal=nominal_content(covered_gains.nominal),
+        start=covered_gains.predictor_start.value,
+        initial=initial,
+    )
+
+
+def require_covered_controller(name: str, controller: Controller, gains: object) -> DsscGains:
+    """Return the gains of a channel's controller; require a controller that the theorem covers.
+
+    Args:
+        name: Name of the channel.
+        controller: Its controller.
+        gains: The controller's gains.
+
+    Raises:
+        NotCovered: The controller is outside of the theorem; the message gives the reason.
+    """
     conservative = (DSSC.members[Discretisation.CONSERVATIVE], SSC.members[Discretisation.CONSERVATIVE])
-    if member not in conservative or not isinstance(gains, DsscGains):
+    if controller not in conservative or not isinstance(gains, DsscGains):
         raise NotCovered(f"the controller of {name} is not DSSC or SSC in the conservative form")
     if not isinstance(gains.rho, ConstantModulation):
         raise NotCovered(f"rho of {name} is not constant")
@@ -298,14 +318,7 @@ def channel_of(study: Study, place: int, gains: object, initial: tuple[float, fl
         raise NotCovered(f"the sign of {name} is smoothed")
     if isinstance(gains.functions, Vgsta) or not gains.functions.finite_slope:
         raise NotCovered(f"phi_1 of {name} depends on e, or has no finite slope at sigma = 0")
-    return ChannelProblem(
-        l0=float(gains.l0),
-        functions=functions_content(gains.functions),
-        rho=float(gains.rho.rho),
-        nominal=nominal_content(gains.nominal),
-        start=gains.predictor_start.value,
-        initial=initial,
-    )
+    return gains
 
 
 def reference_of(study: Study) -> dict[str, Sine] | None:
@@ -318,7 +331,7 @@ def reference_of(study: Study) -> dict[str, Sine] | None:
 
 
 def first_points(study: Study, ends: Ends) -> list[tuple[float, float]]:
-    """Value [m, rad] and rate [m/s, rad/s] of each axis's reference at t = 0, in the order x, y, z, psi."""
+    """Return the value [m, rad] and rate [m/s, rad/s] of each axis's reference at t = 0, in the order x, y, z, psi."""
     if study.loop.reference is HOVER:
         hover = ends.low.reference
         return [(float(value), 0.0) for value in (*hover.position, hover.yaw)]
@@ -354,5 +367,5 @@ def starts_of(study: Study, ends: Ends) -> dict[str, tuple[float, float]]:
 
 
 def largest_of(values: Sequence[Scalar]) -> float:
-    """The largest of the magnitudes of some values."""
+    """Return the largest of the magnitudes of some values."""
     return max(abs(float(value)) for value in values)

@@ -46,7 +46,7 @@ def tables(caption: str, content: Mapping[str, object], meanings: Meanings, plac
         if text is not None:
             single_values.append((entry_label(meanings, place, name), text))
     if single_values:
-        yield table(caption, ("number", "value"), single_values, words=2)
+        yield table(caption, ("number", "value"), single_values, text_columns=2)
     for name, value in content.items():
         key = entry_key(meanings, place, name)
         group_caption = f"{caption}: {name.replace('_', ' ')}"
@@ -61,7 +61,7 @@ def tables(caption: str, content: Mapping[str, object], meanings: Meanings, plac
 
 
 def row_table(caption: str, rows: Mapping[str, Mapping[str, object]], labels: Mapping[str, h.Node]) -> h.Element:
-    """The table of a group of similar rows, with the name of each row in its first column.
+    """Make the table of a group of similar rows, with the name of each row in its first column.
 
     Args:
         caption: Caption of the table.
@@ -72,11 +72,11 @@ def row_table(caption: str, rows: Mapping[str, Mapping[str, object]], labels: Ma
     for name, row in rows.items():
         cells.append((name, *(cell(row.get(column)) or "" for column in labels)))
     words = 1 + leading_words(list(labels), rows.values())
-    return table(caption, ("name", *labels.values()), cells, words=words)
+    return table(caption, ("name", *labels.values()), cells, text_columns=words)
 
 
 def entry_key(meanings: Meanings, place: str, name: str) -> str:
-    """The key by which the meaning of an entry is looked up.
+    """Make the key by which the meaning of an entry is looked up.
 
     All entries of a mapping from names to numbers share the key ``PLACE.NAME``. An entry without a meaning has the key
     of the part of the summary that contains it, or its own name in the summary itself.
@@ -95,14 +95,14 @@ def entry_key(meanings: Meanings, place: str, name: str) -> str:
 
 
 def entry_label(meanings: Meanings, place: str, name: str) -> h.Node:
-    """The name of an entry, which :func:`entry_key` looks up; below it meaning and unit, if the entry has them."""
+    """Make the name of an entry, which :func:`entry_key` looks up; below it meaning and unit, if the entry has them."""
     label = name.replace("_", " ")
     field = meanings.get(entry_key(meanings, place, name))
     return label if field is None else number_with_meaning(label, field.meaning, field.unit)
 
 
 def summary_rows(value: object) -> dict[str, Mapping[str, object]]:
-    """The rows of a mapping of mappings by name, or of a list of mappings by rank; empty for any other value."""
+    """Find the rows of a mapping of mappings by name, or of a list of mappings by rank; empty for any other value."""
     rows = {}
     if isinstance(value, list):
         rows = {str(rank): row for rank, row in enumerate(value, start=1)}
@@ -113,7 +113,7 @@ def summary_rows(value: object) -> dict[str, Mapping[str, object]]:
 
 
 def columns_of(rows: Mapping[str, Mapping[str, object]]) -> list[str]:
-    """The names of the entries that fit into a cell in at least one row."""
+    """List the names of the entries that fit into a cell in at least one row."""
     fits_in_a_row: dict[str, bool] = {}  # by name, in the order of the rows
     for row in rows.values():
         for name, value in row.items():
@@ -123,7 +123,7 @@ def columns_of(rows: Mapping[str, Mapping[str, object]]) -> list[str]:
 
 
 def leading_words(columns: Sequence[str], rows: Collection[Mapping[str, object]]) -> int:
-    """The number of leading columns that hold words in every row."""
+    """Count the leading columns that hold words in every row."""
     count = 0
     for column in columns:
         if not all(isinstance(row.get(column), str) for row in rows):
@@ -133,7 +133,7 @@ def leading_words(columns: Sequence[str], rows: Collection[Mapping[str, object]]
 
 
 def cell(value: object) -> str | None:
-    """The text of a single value or of a short list; None if the value does not fit into a cell."""
+    """Format a single value or a short list; None if it does not fit into a cell."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
@@ -155,7 +155,7 @@ def dataset(subject: AnalysisSubject) -> Section:
         rows.append((h.code[str(name)], meaning, unit, ", ".join(map(str, variable.dims))))
     head = ("variable", "meaning", "unit", "along")
     caption = "Variables of the dataset, which dssc_jax.load reads and dssc-jax export hands on"
-    return Section("dataset", "The dataset", table(caption, head, rows, words=4))
+    return Section("dataset", "The dataset", table(caption, head, rows, text_columns=4))
 
 
 def analysis_provenance(subject: AnalysisSubject) -> Section:

@@ -45,7 +45,7 @@ def with_unit(value: float, unit: str) -> str:
 
 
 def number_with_meaning(name: h.Node, meaning: str, unit: str) -> list[h.Node]:
-    """The name of a number, and below it its meaning and unit."""
+    """Show the name of a number, and below it its meaning and unit."""
     return [name, h.span(".meaning")[name_with_unit(meaning, unit)]]
 
 
@@ -62,34 +62,34 @@ def interval(bounds: Sequence[float]) -> str:
 
 
 def count_text(count: int, noun: str) -> str:
-    """A count and its noun, singular or plural."""
+    """Format a count and its noun, singular or plural."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
-def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]], words: int = 1) -> h.Element:
-    """A table with caption and headers; the first cell of a row is the header of the row.
+def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]], text_columns: int = 1) -> h.Element:
+    """Make a table with caption and headers; the first cell of a row is the header of the row.
 
     Args:
         caption: The caption.
         head: Headers of the columns.
         rows: The cells, one sequence for each row.
-        words: Number of leading columns with words; the others contain numbers and are aligned to the right.
+        text_columns: Number of leading columns with text; the others contain numbers and are aligned to the right.
     """
-    classes = ["words" if index < words else None for index in range(len(head))]
+    classes = ["words" if index < text_columns else None for index in range(len(head))]
     headers = [h.th(scope="col", class_=class_)[text] for text, class_ in zip(head, classes, strict=True)]
     body = [table_row(row, classes) for row in rows]
     return scrollable(caption, h.table[h.caption[caption], h.thead[h.tr[headers]], h.tbody[body]])
 
 
 def table_row(row: Sequence[h.Node], classes: Sequence[str | None]) -> h.Element:
-    """A row of a table, with the CSS class of each column; its first cell is a header."""
+    """Make a row of a table, with the CSS class of each column; its first cell is a header."""
     name, *values = row
     cells = [h.td(class_=class_)[value] for value, class_ in zip(values, classes[1:], strict=True)]
     return h.tr[h.th(scope="row", class_=classes[0])[name], cells]
 
 
 def figure(picture: h.Node, caption: h.Node) -> h.Element:
-    """A picture with its caption."""
+    """Make a picture with its caption."""
     return h.figure[picture, h.figcaption[caption]]
 
 
@@ -99,7 +99,7 @@ def scrollable(name: str, content: h.Node) -> h.Element:
 
 
 def facts(pairs: Sequence[tuple[str, h.Node]], class_: str = "facts") -> h.Element:
-    """A list of names with their values."""
+    """Make a list of names with their values."""
     return h.dl(class_=class_)[(h.div[h.dt[name], h.dd[value]] for name, value in pairs)]
 
 

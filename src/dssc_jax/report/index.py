@@ -32,7 +32,7 @@ class IndexRow(NamedTuple):
         answer: Answer of the analysis in one line.
         study: Name of the study.
         started: Time at which a run began, in ISO format.
-        size: Numbers of draws and points of a result, in words.
+        draws_text: Numbers of draws and points of a result, in words.
         probability: Failure probability of a run; failure probabilities of a sweep's best and worst point.
         interval: Interval of the failure probability of a run.
         worst_probability: Failure probability of the worst point, by which the index is sorted; -1 for an analysis.
@@ -44,7 +44,7 @@ class IndexRow(NamedTuple):
     answer: str = ""
     study: str = ""
     started: str = ""
-    size: str = ""
+    draws_text: str = ""
     probability: str = ""
     interval: str = ""
     worst_probability: float = -1.0
@@ -59,7 +59,7 @@ def indexed_folders(root: Path) -> Iterator[Path]:
 
 
 def folders_with_results(top: Path) -> list[Path]:
-    """The folders of results and analyses at and below a folder; those within another one are left out."""
+    """Find the folders of results and analyses at and below a folder; those within another one are left out."""
     result_folders = []
     for place, subfolders, file_names in os.walk(top):
         if not DESCRIPTIONS.isdisjoint(file_names):
@@ -109,9 +109,9 @@ def with_probability(row: IndexRow, points: list[SummaryRow]) -> IndexRow:
     lowest = probability_text(best["probability"], best["interval"])
     draws = count_text(best["draws"], "draw")
     if len(points) == 1:  # a run
-        return row._replace(size=draws, probability=lowest, interval=interval(best["interval"]))
+        return row._replace(draws_text=draws, probability=lowest, interval=interval(best["interval"]))
     highest = probability_text(worst["probability"], worst["interval"])
-    return row._replace(size=f"{draws} at {len(points):,} points", probability=f"{lowest} to {highest}")
+    return row._replace(draws_text=f"{draws} at {len(points):,} points", probability=f"{lowest} to {highest}")
 
 
 def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: None) -> tuple[Path, list[IndexRow]]:
@@ -137,7 +137,7 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
 
 
 def sorted_rows(rows: Iterable[IndexRow]) -> list[IndexRow]:
-    """The rows by study, then by date with the newest first, then by the failure probability of the worst point.
+    """Sort the rows by study, then by date with the newest first, then by the failure probability of the worst point.
 
     Each sort keeps the order of rows that are equal for it, so the last key of the order is sorted first.
     """
@@ -147,7 +147,7 @@ def sorted_rows(rows: Iterable[IndexRow]) -> list[IndexRow]:
 
 
 def index_html(root: Path, rows: list[IndexRow]) -> str:
-    """The index as a page: runs, analyses, and the folders that cannot be shown, with the reason."""
+    """Make the index as a page: runs, analyses, and the folders that cannot be shown, with the reason."""
     shown = sorted_rows(row for row in rows if not row.trouble)
     not_shown = [row for row in rows if row.trouble]
     runs = [row for row in shown if not row.kind]
@@ -167,34 +167,34 @@ def index_html(root: Path, rows: list[IndexRow]) -> str:
 
 
 def run_table(root: Path, rows: list[IndexRow]) -> h.Element:
-    """The table of runs and sweeps, with links to their reports."""
+    """Make the table of runs and sweeps, with links to their reports."""
     cells = []
     for row in rows:
         link = report_link(root, row)
         folder = folder_code(root, row)
-        cells.append((link, time_text(row.started), folder, row.size, row.probability, row.interval))
+        cells.append((link, time_text(row.started), folder, row.draws_text, row.probability, row.interval))
     head = ("study", "started", "folder", "size", "failure probability", "95 % interval")
-    return table("A sweep shows its best and its worst point", head, cells, words=4)
+    return table("A sweep shows its best and its worst point", head, cells, text_columns=4)
 
 
 def analysis_table(root: Path, rows: list[IndexRow]) -> h.Element:
-    """The table of analyses, with links to their reports."""
+    """Make the table of analyses, with links to their reports."""
     cells = [(report_link(root, row), row.kind, folder_code(root, row), row.answer) for row in rows]
     head = ("study", "analysis", "folder", "answer")
-    return table("Each analysis with its answer", head, cells, words=4)
+    return table("Each analysis with its answer", head, cells, text_columns=4)
 
 
 def trouble_table(root: Path, rows: list[IndexRow]) -> h.Element:
-    """The table of folders that cannot be shown, with the reasons."""
+    """Make the table of folders that cannot be shown, with the reasons."""
     cells = [(folder_code(root, row), row.study, row.trouble) for row in rows]
-    return table("Folders without a result that can be shown", ("folder", "study", "why"), cells, words=3)
+    return table("Folders without a result that can be shown", ("folder", "study", "why"), cells, text_columns=3)
 
 
 def report_link(root: Path, row: IndexRow) -> h.Element:
-    """The study's name as a link to the report, relative to the index."""
+    """Make the study's name as a link to the report, relative to the index."""
     return h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study]
 
 
 def folder_code(root: Path, row: IndexRow) -> h.Element:
-    """The path of a folder relative to the index, set as code."""
+    """Format the path of a folder relative to the index, set as code."""
     return h.code[str(row.folder.relative_to(root))]

@@ -124,7 +124,7 @@ def violation_rows(subject: Subject) -> list[tuple[h.Node, ...]]:
         time = failures["violated_at"]
         median_time = "" if time is None else f"{time:.4g}"
         counts = f"{failures['alone']:,}", f"{failures['first']:,}"
-        rows.append((f"violates {requirement.short}", *failure_cells(failures), *counts, median_time))
+        rows.append((f"violates {requirement.short_text}", *failure_cells(failures), *counts, median_time))
     return rows
 
 
@@ -135,13 +135,13 @@ def joint_violations(point: SummaryRow, study: Study) -> list[h.Node]:
     pairs = [pair for pair in point["overlaps"] if pair["draws"]]
     if not pairs:
         return [h.p["No draw that ran to its end violates two requirements."]]
-    texts = {requirement.label: requirement.short for requirement in study.requirements}
+    texts = {requirement.label: requirement.short_text for requirement in study.requirements}
     rows = []
     for pair in pairs:
         first, second = pair["names"]
         rows.append((texts[first], texts[second], f"{pair['draws']:,}"))
     caption = "Requirements that the same draws violate, without draws that ended early"
-    return [table(caption, ("requirement", "and requirement", "draws"), rows, words=2)]
+    return [table(caption, ("requirement", "and requirement", "draws"), rows, text_columns=2)]
 
 
 def failure_cells(row: SummaryRow) -> tuple[str, str, str]:
@@ -236,7 +236,7 @@ def metrics(subject: Subject) -> Section:
     caption = f"Distribution of {name} with the interval of each share."
     body = [
         h.p[f"Quantiles over draws{subject.point_phrase}. A draw that ended early counts as ∞."],
-        table("Quantiles of the metrics", head, rows, words=3),
+        table("Quantiles of the metrics", head, rows, text_columns=3),
         h.div(".pair")[figure(picture, caption)],
     ]
     return Section("metrics", "What was measured", body)
@@ -328,7 +328,7 @@ def chattering_section(subject: Subject) -> Section | None:
             sampling_ratio_sentence(subject),
             off_reference_sentence(subject),
         ],
-        table(f"Chattering{subject.point_phrase}", head, rows, words=3),
+        table(f"Chattering{subject.point_phrase}", head, rows, text_columns=3),
     ]
     if study.axes and any(measure.name == "command_tv" for measure in measures):
         picture = inline_svg(

@@ -84,7 +84,7 @@ def laws(subject: AnySubject) -> Section | None:
     rows = [law_cells(study, name) for name in study.written_laws]
     head = ("number", "law", "density", "median", "5 to 95 %")
     caption = f"Laws of the uncertain numbers, {dependence(study)}"
-    return Section("laws", "What is uncertain", table(caption, head, rows, words=3))
+    return Section("laws", "What is uncertain", table(caption, head, rows, text_columns=3))
 
 
 def law_cells(study: Study, name: str) -> tuple[h.Node, ...]:
@@ -121,7 +121,7 @@ def expressions(subject: AnySubject) -> Section | None:
         return None
     head = ("number", "expression", "at the medians", "all values")
     caption = "Numbers that follow from the study's parameters. A swept value replaces that of its parameter."
-    return Section("expressions", "What follows from parameters", table(caption, head, rows, words=2))
+    return Section("expressions", "What follows from parameters", table(caption, head, rows, text_columns=2))
 
 
 def dependence(study: Study) -> str:

@@ -145,12 +145,12 @@ def write_whole_file(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
 
 
 def table_of(result: Result | Analysis) -> ExportTable:
-    """The table of a result, with a row for each lane, or of an analysis, with a row for each index."""
+    """Make the table of a result, with a row for each lane, or of an analysis, with a row for each index."""
     return table_of_analysis(result) if isinstance(result, Analysis) else table_of_lanes(result)
 
 
 def table_of_analysis(analysis: Analysis) -> ExportTable:
-    """The table of an analysis, with a row for each index of its own dimensions."""
+    """Make the table of an analysis, with a row for each index of its own dimensions."""
     data = analysis.dataset
     names = [name for name, variable in data.items() if set(variable.dims) <= set(analysis.table)]
     frame = data[names].to_dataframe(dim_order=list(analysis.table)).reset_index()
@@ -166,7 +166,7 @@ def table_of_analysis(analysis: Analysis) -> ExportTable:
 
 
 def table_of_lanes(result: Result) -> ExportTable:
-    """The table of a result, with a row for each lane, a draw at a point of the sweep."""
+    """Make the table of a result, with a row for each lane, a draw at a point of the sweep."""
     columns = {}
     for name, variable in (coordinates(result.study) | variables(result.study)).items():
         columns[name] = dict(variable.attributes)
@@ -176,7 +176,7 @@ def table_of_lanes(result: Result) -> ExportTable:
 
 
 def lane_rows(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
-    """The rows of a result's table, :data:`TABLE_ROWS` at a time.
+    """Yield the rows of a result's table, :data:`TABLE_ROWS` at a time.
 
     Args:
         result: The result.
@@ -193,7 +193,7 @@ def lane_rows(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
 
 
 def lane_columns(result: Result, block: Block) -> Arrays:
-    """The numbers and results of the lanes of a block by name, shape (lanes,) each."""
+    """Read the numbers and results of the lanes of a block by name, shape (lanes,) each."""
     study = result.study
     data = result.dataset
     law_values = {name: data[name].values[block[-1]] for name in study.laws}
@@ -300,7 +300,7 @@ def write_mat(result: Result | Analysis, file: IO[bytes]) -> None:
 
 
 def matlab_name(name: str, used_names: Iterable[str]) -> str:
-    """A valid MATLAB name of at most 63 characters that is not among the used names.
+    """Make a valid MATLAB name of at most 63 characters that is not among the used names.
 
     Args:
         name: The name, in which an underscore replaces each character that MATLAB does not allow.
@@ -317,7 +317,11 @@ def matlab_name(name: str, used_names: Iterable[str]) -> str:
 
 
 def file_provenance(result: Result | Analysis) -> dict[str, str]:
-    """Attributes by which an exported file can be traced: the study, its hash, the version of dssc_jax and the time."""
+    """Collect attributes by which an exported file can be traced: the dataset's own, the study, its hash and history.
+
+    The history states the version that computed the result, and when the run started. An analysis has no manifest that
+    tells them: the version is then the one that exports, and the time is left out.
+    """
     manifest = {} if isinstance(result, Analysis) else result.manifest
     computing_version = manifest.get("versions", {}).get("dssc_jax") or version("dssc_jax")
     history = [f"computed with dssc_jax {computing_version}"]

@@ -11,12 +11,12 @@ from dssc_jax.statistics.order import upper_quantiles
 IDLE_CHANGE = 0.01
 """Largest relative change of a metric's quantiles over an axis that counts as no change."""
 QUANTILES = (0.05, 0.5, 0.95)  # levels
-MOST_BINS = 8
-LEAST_BIN_DRAWS = 5
+MAX_BINS = 8
+MIN_DRAWS_PER_BIN = 5
 
 
 def idle_axes(result: Result) -> list[str]:
-    """The swept parameters that affect no requirement.
+    """List the swept parameters that affect no requirement.
 
     Along such an axis, with the other swept numbers fixed, no draw changes between pass and fail, and no quantile
     (5, 50, 95 %) of a required metric changes by more than 1 %. Without requirements, the headline metric counts.
@@ -38,12 +38,15 @@ def is_idle(result: Result, axis: str) -> bool:
 
 
 def largest_change(metric: xr.DataArray, axis: str) -> float:
-    """Largest relative change of a metric's quantiles along an axis; infinite where a quantile ceases to be finite."""
+    """Compute the largest relative change of a metric's quantiles along an axis.
+
+    It is infinite if a quantile is finite at some values of the axis only.
+    """
     metric_values = metric.transpose(axis, ..., "draw").values
     quantiles = upper_quantiles(metric_values, QUANTILES)  # shape (levels, values of the axis, ...)
     finite = np.isfinite(quantiles)
-    ceases_to_be_finite = finite.any(axis=1) != finite.all(axis=1)
-    if ceases_to_be_finite.any():
+    partly_finite = finite.any(axis=1) != finite.all(axis=1)
+    if partly_finite.any():
         return float("inf")
     quantiles = np.where(finite, quantiles, 0.0)
     spread = np.ptp(quantiles, axis=1)
@@ -53,12 +56,12 @@ def largest_change(metric: xr.DataArray, axis: str) -> float:
 
 
 def idle_text(result: Result) -> str:
-    """Text on the axes of a sweep that affect no requirement; empty if every axis affects a requirement."""
+    """State which axes of a sweep affect no requirement; empty if every axis affects a requirement."""
     return "; ".join(idle_axis_text(result, name) for name in idle_axes(result))
 
 
 def idle_axis_text(result: Result, axis: str) -> str:
-    """Text that an axis affects no requirement, with the other metric that changes most along it, if any changes."""
+    """State that an axis affects no requirement, and which other metric changes most along it, if any changes."""
     changes = {measure.name: largest_change(result.dataset[measure.name], axis) for measure in result.study.measures}
     if max(changes.values()) <= IDLE_CHANGE:
         limit = f"{100 * IDLE_CHANGE:g} %"
@@ -69,17 +72,17 @@ def idle_axis_text(result: Result, axis: str) -> str:
 
 
 def equal_count_bins(values: np.ndarray) -> list[np.ndarray]:
-    """Indices of the draws in each bin, when the values of a number are sorted into bins with equally many draws.
+    """Split the draws into bins of nearly equal size by increasing value; return the indices of each bin's draws.
 
     Args:
         values: Value of the number in each draw, shape (draws,).
     """
-    bins = max(1, min(MOST_BINS, values.size // LEAST_BIN_DRAWS))
+    bins = max(1, min(MAX_BINS, values.size // MIN_DRAWS_PER_BIN))
     return np.array_split(np.argsort(values), bins)
 
 
 def influence(result: Result, name: str) -> float:
-    """Share of the variance of failure that an uncertain number explains, in [0, 1].
+    """Estimate the share of the variance of failure that an uncertain number explains, in [0, 1].
 
     The share is the correlation ratio over bins of the number, less the share that as many bins explain by chance. If
     no draw fails, or all fail, the ranks of the headline metric take the place of failure.

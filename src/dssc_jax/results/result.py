@@ -26,9 +26,9 @@ from dssc_jax.results.summary import Summary, SummaryRow, json_lines, jsonable, 
 from dssc_jax.results.theorem import theorem_mark
 from dssc_jax.statistics import (
     CONFIDENCE,
-    DataDriven,
     DesignEffect,
     FixedCount,
+    IntervalsAfterStop,
     Look,
     Method,
     Replicated,
@@ -167,7 +167,7 @@ class Result:
         if not stopping:
             return interval_method(self.study)
         looks = tuple(Look(look["draws"], look["lower"], look["upper"]) for look in stopping["looks"])
-        return DataDriven(looks, stops=stopping["stops"])
+        return IntervalsAfterStop(looks, possible_stops=stopping["stops"])
 
     def summary(self, confidence: float = CONFIDENCE) -> Summary:
         """Failures with intervals of each point of the sweep and each requirement, and quantiles of the metrics.

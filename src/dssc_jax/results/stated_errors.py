@@ -152,4 +152,4 @@ def confidence_of(method: Method, confidence: float = CONFIDENCE) -> float:
     """
     if isinstance(method, Replicated):
         return confidence
-    return method.level(confidence)
+    return method.confidence_per_look(confidence)

@@ -78,7 +78,7 @@ class Statements(NamedTuple):
             name = f"q{100 * level:g}"
             columns[name] = upper_quantile(sorted_values, level)
             if not isinstance(self.method, Replicated):
-                ranks = quantile_ranks(sorted_values.shape[-1], level, self.method.level(self.confidence))
+                ranks = quantile_ranks(sorted_values.shape[-1], level, self.method.confidence_per_look(self.confidence))
                 ends = [at_rank(sorted_values, rank) for rank in ranks]
                 columns[f"{name}_interval"] = np.stack(ends, axis=-1)
         return {name: none_if_infinite(column) for name, column in columns.items()}

@@ -271,7 +271,7 @@ def column_attributes(name: str, study: Study) -> dict[str, str]:
     if quantity is None and not has_channel:
         quantity = quantity_of(signal, study.loop.quantities)
     unit = "" if quantity is None else units.of(quantity.unit)
-    meaning = signal if quantity is None else units.named(quantity.meaning)
+    meaning = signal if quantity is None else units.describe(quantity.meaning)
     return unit_and_meaning(unit, f"{channel}: {meaning}" if has_channel else meaning)
 
 

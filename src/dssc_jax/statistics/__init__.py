@@ -15,9 +15,9 @@ from dssc_jax.statistics.paired import (
 from dssc_jax.statistics.planning import assured_draws, chernoff_draws, expected_draws, plan, worst_case_draws
 from dssc_jax.statistics.proportions import (
     CONFIDENCE,
-    DataDriven,
     DesignEffect,
     FixedCount,
+    IntervalsAfterStop,
     Method,
     Replicated,
     clopper_pearson,
@@ -34,10 +34,10 @@ from dssc_jax.statistics.sequential import AcceptReject, StoppingRule, UntilWidt
 __all__ = [
     "CONFIDENCE",
     "AcceptReject",
-    "DataDriven",
     "DesignEffect",
     "FailureDifference",
     "FixedCount",
+    "IntervalsAfterStop",
     "Likelihood",
     "Look",
     "Method",

@@ -48,10 +48,13 @@ class Candidate(NamedTuple):
 class NoisePosterior(NamedTuple):
     """Posterior law of the noise of a channel's residual.
 
+    The kinds are white noise, those of :data:`NOISE_KINDS`, and noise of the shape that simulations of a disturbance
+    show.
+
     Args:
         likeliest: Noise at the mode of the likeliest kind.
         fit: Least squares of the residual under that noise.
-        white: Posterior probability of white noise.
+        white: Posterior probability that the noise is white.
         candidates: Samples of the posterior law; the sum of their weights is 1.
     """
 
@@ -83,7 +86,7 @@ class Mode(NamedTuple):
 
 
 def noise_of_simulations(times: np.ndarray, simulated: np.ndarray, white: float) -> tuple[SimulatedNoise, float] | None:
-    """The noise of simulated disturbances beside white noise, and its variance; None if they are 0 or not finite.
+    """Model simulated disturbances plus white noise; return noise and variance, or None if they are 0 or not finite.
 
     Args:
         times: Times of the readings [s], shape (n,).
@@ -100,7 +103,7 @@ def noise_of_simulations(times: np.ndarray, simulated: np.ndarray, white: float)
 
 
 def separate_times(times: np.ndarray) -> np.ndarray:
-    """Times [s] at which no gap is shorter than :data:`LEAST_GAP` median gaps: shorter gaps are stretched, shape (n,).
+    """Stretch gaps between times [s] that are shorter than :data:`LEAST_GAP` median gaps to that length, shape (n,).
 
     Args:
         times: Times, rising [s], shape (n,).
@@ -132,7 +135,7 @@ def find_mode(density: Callable[[np.ndarray], float], size: int) -> Mode:
 
 
 def curvature_at(density: Callable[[np.ndarray], float], point: np.ndarray, top: float) -> np.ndarray:
-    """Negative second derivatives of a log density at its maximum, by finite differences, shape (k, k).
+    """Estimate the negative second derivatives of a log density at its maximum, by finite differences, shape (k, k).
 
     The steps are halved until the density falls by at most 2. A derivative that is not finite is replaced by 1, the
     curvature of the prior law.
@@ -224,7 +227,7 @@ class NoiseSearch:
         self.modes = [find_mode(partial(self.log_density, kind), kind.scores) for kind in self.kinds]
 
     def log_density(self, kind: NoiseKind, point: np.ndarray) -> float:
-        """Logarithm of the posterior density of a kind of noise at a point of scores, relative to white noise."""
+        """Compute the log posterior density of a kind of noise at a point of scores, relative to white noise."""
         log_density, _ = self.fit_at(kind, point)
         return log_density
 
@@ -243,7 +246,7 @@ class NoiseSearch:
         return fit.log_likelihood - self.white.log_likelihood + prior, fit
 
     def likeliest(self) -> tuple[Noise, NoiseFit]:
-        """Noise at the mode of the likeliest kind, and the least squares of the residual under it."""
+        """Return the noise at the mode of the likeliest kind, and the least squares of the residual under it."""
         if not self.kinds:
             return self.with_least_white(WHITE, self.white)
         prior = (1.0 - WHITE_PRIOR) / len(self.kinds)
@@ -268,7 +271,7 @@ class NoiseSearch:
         return noise, fit._replace(variance=variance, information=products[1:, 1:], gradient=products[1:, 0])
 
     def posterior(self) -> NoisePosterior:
-        """Posterior law of the noise: white noise, and samples around the mode of each kind, with their weights.
+        """Sample the posterior law of the noise: white noise, and points around the mode of each kind, with weights.
 
         The weight of a sample is its posterior density over the density of the law from which it was drawn.
         """

@@ -71,7 +71,7 @@ def unseen(draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
 
 
 class FixedCount(NamedTuple):
-    """The intervals of probabilities for independent draws whose number was fixed in advance: Clopper-Pearson."""
+    """Confidence intervals of probabilities for independent draws of a number fixed in advance: Clopper-Pearson."""
 
     @property
     def independent(self) -> bool:
@@ -83,12 +83,12 @@ class FixedCount(NamedTuple):
         """Name of the interval in results."""
         return "Clopper-Pearson"
 
-    def level(self, confidence: float) -> float:
-        """Confidence of a statement on anything but failure: the nominal confidence."""
+    def confidence_per_look(self, confidence: float) -> float:
+        """Confidence of a statement on anything but failure: the nominal confidence, as there is one look."""
         return confidence
 
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Interval of the probability of an event, shape (..., 2).
+        """Compute the interval of the probability of an event, shape (..., 2).
 
         Args:
             happened: Whether each draw has the event, shape (..., n).
@@ -97,23 +97,25 @@ class FixedCount(NamedTuple):
         return clopper_pearson(np.count_nonzero(happened, axis=-1), happened.shape[-1], confidence)
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Interval of the failure probability, as of any event."""
+        """Compute the interval of the failure probability, as of any event."""
         return self.interval(failed, confidence)
 
 
 FIXED = FixedCount()
 
 
-class DataDriven(NamedTuple):
-    """The intervals of probabilities for independent draws that a stopping rule ended: exact after a multistage test.
+class IntervalsAfterStop(NamedTuple):
+    """Confidence intervals of probabilities when a stopping rule decided the number of independent draws.
+
+    That of the failure probability is exact after a multistage test.
 
     Args:
         looks: Looks up to the look at which the rule stopped.
-        stops: Number of looks at which the rule can stop.
+        possible_stops: Number of looks at which the rule can stop.
     """
 
     looks: tuple[Look, ...]
-    stops: int
+    possible_stops: int
 
     @property
     def independent(self) -> bool:
@@ -125,26 +127,26 @@ class DataDriven(NamedTuple):
         """Name of the interval in results."""
         return f"exact interval after a data-driven stop at look {len(self.looks)}"
 
-    def level(self, confidence: float) -> float:
+    def confidence_per_look(self, confidence: float) -> float:
         """Confidence of a statement on anything but failure: the error is divided among all looks."""
-        return 1.0 - (1.0 - confidence) / self.stops
+        return 1.0 - (1.0 - confidence) / self.possible_stops
 
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Interval of the probability of an event from booleans of shape (..., n), shape (..., 2).
+        """Compute the interval of the probability of an event from booleans of shape (..., n), shape (..., 2).
 
         The rule did not watch this event, so each look could have been the last.
         """
-        return FIXED.interval(happened, self.level(confidence))
+        return FIXED.interval(happened, self.confidence_per_look(confidence))
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Interval of the failure probability, which the rule watched, from booleans of shape (..., n)."""
+        """Compute the interval of the failure probability, which the rule watched, from booleans of shape (..., n)."""
         counts = np.count_nonzero(failed, axis=-1)
         intervals = [multistage_interval(self.looks, int(count), confidence) for count in np.ravel(counts)]
         return np.reshape(intervals, (*np.shape(counts), 2))
 
 
 class Replicated(NamedTuple):
-    """The intervals of probabilities for independent replicates of dependent draws: Student's t over the replicates.
+    """Confidence intervals of probabilities for independent replicates of dependent draws: Student's t over replicates.
 
     Draw i belongs to replicate i mod R.
 
@@ -167,7 +169,7 @@ class Replicated(NamedTuple):
         return f"Student's t over {self.replicates} {self.design} replicates"
 
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Interval of the probability of an event from booleans of shape (..., n), shape (..., 2).
+        """Compute the interval of the probability of an event from booleans of shape (..., n), shape (..., 2).
 
         Student's t over the replicates' shares is widened on both sides by :func:`unseen`, since it has the width 0 if
         all replicates agree, for example on no failure.
@@ -177,16 +179,16 @@ class Replicated(NamedTuple):
         return np.stack([np.maximum(low - widening, 0.0), np.minimum(high + widening, 1.0)], axis=-1)
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Interval of the failure probability, as of any event."""
+        """Compute the interval of the failure probability, as of any event."""
         return self.interval(failed, confidence)
 
 
-Method: TypeAlias = FixedCount | DataDriven | Replicated
-"""The intervals of probabilities for a kind of sampling."""
+Method: TypeAlias = FixedCount | IntervalsAfterStop | Replicated
+"""Confidence intervals of probabilities for a kind of sampling."""
 
 
 def replicate_interval(values: np.ndarray, replicates: int, confidence: float = CONFIDENCE) -> np.ndarray:
-    """Student's t interval of a mean, from the means of independent replicates.
+    """Compute the Student's t interval of a mean, from the means of independent replicates.
 
     Args:
         values: Values, shape (..., n) with n a multiple of R; value i belongs to replicate i mod R.
@@ -223,7 +225,7 @@ class DesignEffect(NamedTuple):
 
 
 def draws_as_narrow(share: float, width: float) -> int:
-    """Number of independent draws whose exact interval of 95 % has a width, if a share of them fails.
+    """Count the independent draws whose exact interval of 95 % has a width, if a share of them fails.
 
     Args:
         share: Share of the draws that fail, in (0, 1).
@@ -269,7 +271,7 @@ def design_effect(happened: np.ndarray, replicates: int) -> DesignEffect | None:
 
 
 def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Interval of the mean of independent estimates that are 0 or follow a lognormal law.
+    """Compute the interval of the mean of independent estimates that are 0 or follow a lognormal law.
 
     If the logarithms have the mean m and the variance s^2, the law has the mean exp(m + s^2/2). Student's t limits of m
     and chi-square limits of s^2/2 are combined: the squares of their distances from the estimates add up. Zeros widen

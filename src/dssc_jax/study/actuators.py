@@ -132,7 +132,7 @@ def acting_elements(table: Mapping[str, object], config: StudyTable) -> list[tup
         table: Table of the study.
         config: Fixed tables of the study.
     """
-    parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
+    parameters = ParameterTable.from_toml(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     elements = []
     for element_table in parameters.resolved(tables_of(config, SLOT), SLOT):
         part = parse_component(kind_fields(element_table), UNMODELLED, SLOT)
@@ -171,7 +171,7 @@ def series_component(elements: list[tuple[str, Component]], place: str) -> Compo
         index, _, field = error.where.partition(".")  # such as "1.delay", for the second element
         path_of_element, _ = elements[int(index)]
         raise ConfigError(f"{path_of_element}.{field}", error.rule) from None
-    return Component(kind, model, params, tuple(numbers), elements=series)
+    return Component(kind=kind, model=model, params=params, numbers=tuple(numbers), elements=series)
 
 
 def require_one_form(config: StudyTable) -> None:

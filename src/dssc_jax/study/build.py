@@ -17,7 +17,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.core.trace_memory.memory import remembered
+from dssc_jax.core.trace_memory.memory import cached_by_subjects
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.actuators import require_one_form
 from dssc_jax.study.available_metrics import AvailableMetrics, available_metrics, metric_kinds
@@ -104,7 +104,7 @@ def parse_content(table: TomlTable) -> StudyContent:
 
     :func:`build` adds the right section to the error.
     """
-    parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
+    parameters = ParameterTable.from_toml(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     config = validate_fixed(with_constants(table, parameters))
     require_one_form(config)
     parts = parse_parts(config, parameters)
@@ -196,4 +196,4 @@ def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> F
             controller_fields[channel] = fields_of(info, "controller")
         return controller_fields, fields_of(plant, "plant")
 
-    return remembered("fields", trace_fields, loop, jax.tree.unflatten(structure, leaves))
+    return cached_by_subjects("fields", trace_fields, loop, jax.tree.unflatten(structure, leaves))

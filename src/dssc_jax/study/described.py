@@ -109,17 +109,17 @@ class UnloadedModel:
     error: ConfigError
 
     def __getattr__(self, name: str) -> Any:
-        """Refuse every attribute; Python's own protocols, such as copying, find that theirs is absent."""
+        """Raise the error on any attribute; dunder names raise AttributeError, so that copying and pickling work."""
         if name.startswith("__"):
             raise AttributeError(name)
         raise self.error
 
     def __iter__(self) -> Any:
-        """Refuse an iteration, as over the models of all channels."""
+        """Raise the error on an iteration, as over the models of all channels."""
         raise self.error
 
     def __call__(self, *_: object) -> Any:
-        """Refuse a call, as of a model's function."""
+        """Raise the error on a call, as of a model's function."""
         raise self.error
 
 
@@ -152,7 +152,7 @@ class Described(Study):
         """
         try:
             description = Description.model_validate(content)
-            parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
+            parameters = ParameterTable.from_toml(as_table(table.get(PARAMETERS, {}), PARAMETERS))
             numbers = described_numbers(description, parameters)
             verdicts = np.asarray(description.certified or False, dtype=bool)  # False: Theorem 1 does not apply
         except ValueError as error:  # pydantic's ValidationError is one

@@ -13,7 +13,7 @@ POINT = "point"
 
 
 def study_of_draw(study: Study, numbers: Mapping[str, float]) -> Study:
-    """The study of one draw, in which the draw flies exactly as it did among all draws.
+    """Make the study of one draw, in which the draw flies exactly as it did among all draws.
 
     Some values follow from nominal numbers when a study is read, such as the gains of a fitted controller or the mass
     that an inner loop assumes. If plain numbers in place of laws would change these values, each law becomes a law
@@ -27,7 +27,7 @@ def study_of_draw(study: Study, numbers: Mapping[str, float]) -> Study:
         ConfigError: The study is not valid with these numbers.
     """
     plain = study.override({"correlation": {}, **numbers})
-    if has_same_nominal_values(study, plain):
+    if certain_values_agree(study, plain):
         return plain
     points = {}
     for name, value in numbers.items():
@@ -36,12 +36,12 @@ def study_of_draw(study: Study, numbers: Mapping[str, float]) -> Study:
     return study.override({"correlation": {}, **points})
 
 
-def has_same_nominal_values(study: Study, plain: Study) -> bool:
-    """Whether all values of a study that follow from nominal numbers keep their values in another study.
+def certain_values_agree(study: Study, plain: Study) -> bool:
+    """Whether replacing the laws by numbers leaves every value without a law unchanged.
 
     Args:
         study: The study, whose template contains laws.
-        plain: The same study with plain numbers in place of the laws.
+        plain: The same study with numbers in place of the laws.
     """
     if tree_structure(study.template) != tree_structure(plain.template):
         return False

@@ -33,7 +33,8 @@ class LawKind:
         counts: Admissible numbers of arguments; None: one or more.
         rule: Rule that the arguments must satisfy.
         support: ``(*arguments)`` -> lowest and highest value.
-        quantile: ``(u, *arguments)`` -> inverse of the distribution function at levels u in (0, 1), in their shape.
+        quantile: ``(probability, *arguments)`` -> inverse of the distribution function at probabilities in (0, 1), in
+            their shape.
         roles: One letter for each argument: ``l`` for a location, ``s`` for a scale, ``.`` for a shape. Empty if the
             law can be neither moved nor widened.
         logarithmic: Whether values spread about the median on a logarithmic scale.
@@ -60,41 +61,41 @@ class LawKind:
         return tuple(names.removesuffix("]").split(", "))
 
 
-def truncated_quantile(u: np.ndarray, mean: float, std: float, low: float, high: float) -> np.ndarray:
-    """Quantile of a normal law (mean, standard deviation) truncated to [lo, hi].
+def truncated_quantile(probability: np.ndarray, mean: float, std: float, low: float, high: float) -> np.ndarray:
+    """Compute quantiles of a normal law (mean, standard deviation) truncated to [lo, hi].
 
     An interval above the mean is mirrored: its probabilities, which are near 1, would cancel.
     """
     low_score = (low - mean) / std
     high_score = (high - mean) / std
     if low_score > 0.0:
-        lower = scipy.special.ndtr(-high_score)
-        upper = scipy.special.ndtr(-low_score)
-        standard = -scipy.special.ndtri(upper - u * (upper - lower))
+        p_low = scipy.special.ndtr(-high_score)
+        p_high = scipy.special.ndtr(-low_score)
+        standard = -scipy.special.ndtri(p_high - probability * (p_high - p_low))
     else:
-        lower = scipy.special.ndtr(low_score)
-        upper = scipy.special.ndtr(high_score)
-        standard = scipy.special.ndtri(lower + u * (upper - lower))
-    return np.clip(mean + std * standard, low, high)
+        p_low = scipy.special.ndtr(low_score)
+        p_high = scipy.special.ndtr(high_score)
+        standard = scipy.special.ndtri(p_low + probability * (p_high - p_low))
+    return np.clip(mean + std * standard, low, high)  # rounding may step over the ends
 
 
-def triangular_quantile(u: np.ndarray, low: float, mode: float, high: float) -> np.ndarray:
-    """Quantile of the triangular law on [lo, hi] with its peak at the mode."""
+def triangular_quantile(probability: np.ndarray, low: float, mode: float, high: float) -> np.ndarray:
+    """Compute quantiles of the triangular law on [lo, hi] with its peak at the mode."""
     width = high - low
-    rising = low + np.sqrt(u * width * (mode - low))
-    falling = high - np.sqrt((1.0 - u) * width * (high - mode))
-    return np.where(u * width < mode - low, rising, falling)
+    rising = low + np.sqrt(probability * width * (mode - low))
+    falling = high - np.sqrt((1.0 - probability) * width * (high - mode))
+    return np.where(probability * width < mode - low, rising, falling)
 
 
-def beta_quantile(u: np.ndarray, a: float, b: float, low: float = 0.0, high: float = 1.0) -> np.ndarray:
-    """Quantile of the beta law with shape parameters a and b on [lo, hi]."""
-    return low + (high - low) * scipy.special.betaincinv(a, b, u)
+def beta_quantile(probability: np.ndarray, a: float, b: float, low: float = 0.0, high: float = 1.0) -> np.ndarray:
+    """Compute quantiles of the beta law with shape parameters a and b on [lo, hi]."""
+    return low + (high - low) * scipy.special.betaincinv(a, b, probability)
 
 
-def choice_quantile(u: np.ndarray, *values: float) -> np.ndarray:
-    """Quantile of the law in which each of the values is equally likely."""
+def choice_quantile(probability: np.ndarray, *values: float) -> np.ndarray:
+    """Compute quantiles of the law in which each of the values is equally likely."""
     count = len(values)
-    index = np.minimum((u * count).astype(int), count - 1)  # count u may round up to count
+    index = np.minimum((probability * count).astype(int), count - 1)  # the product may round up to count
     return np.asarray(values)[index]
 
 
@@ -109,7 +110,7 @@ LAWS: dict[str, LawKind] = {
         counts=(2,),
         rule=ArgumentRule("lo must be below hi", lambda low, high: low < high),
         support=lambda low, high: (low, high),
-        quantile=lambda u, low, high: low + (high - low) * u,
+        quantile=lambda probability, low, high: low + (high - low) * probability,
         roles="ll",
         log_density=densities.uniform,
     ),
@@ -118,7 +119,7 @@ LAWS: dict[str, LawKind] = {
         counts=(2,),
         rule=ArgumentRule("0 < lo < hi must hold", lambda low, high: 0.0 < low < high),
         support=lambda low, high: (low, high),
-        quantile=lambda u, low, high: np.clip(low * np.exp(np.log(high / low) * u), low, high),
+        quantile=lambda probability, low, high: np.clip(low * np.exp(np.log(high / low) * probability), low, high),
         roles="ll",
         logarithmic=True,
         log_density=densities.loguniform,
@@ -128,7 +129,7 @@ LAWS: dict[str, LawKind] = {
         counts=(2,),
         rule=ArgumentRule("std must be positive", lambda mean, std: std > 0.0),
         support=lambda mean, std: (-math.inf, math.inf),
-        quantile=lambda u, mean, std: mean + std * scipy.special.ndtri(u),
+        quantile=lambda probability, mean, std: mean + std * scipy.special.ndtri(probability),
         roles="ls",
         log_density=densities.normal,
     ),
@@ -148,7 +149,7 @@ LAWS: dict[str, LawKind] = {
         counts=(2,),
         rule=ArgumentRule("std must be positive", lambda mean, std: std > 0.0),
         support=lambda mean, std: (math.ulp(0.0), math.inf),
-        quantile=lambda u, mean, std: np.exp(mean + std * scipy.special.ndtri(u)),
+        quantile=lambda probability, mean, std: np.exp(mean + std * scipy.special.ndtri(probability)),
         roles="ls",
         logarithmic=True,
         log_density=densities.lognormal,
@@ -189,7 +190,7 @@ LAWS: dict[str, LawKind] = {
         counts=(2,),
         rule=ArgumentRule("needs finite numbers", lambda *values: all(map(math.isfinite, values))),
         support=lambda value, nominal: (value, value),
-        quantile=lambda u, value, nominal: np.full(np.shape(u), value),
+        quantile=lambda probability, value, nominal: np.full(np.shape(probability), value),
         nominal=lambda value, nominal: nominal,
         discrete=True,
     ),

@@ -191,7 +191,7 @@ def required_metric(table: RequirementTable) -> str:
 
 
 def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
-    """The metrics of signals that a study reports or requires, by name.
+    """Make the metrics of signals that a study reports or requires, by name.
 
     Raises:
         ConfigError: A requirement's signal, or its kind of metric, is unknown.
@@ -227,7 +227,7 @@ def envelope_requirements(config: StudyTable, available: AvailableMetrics) -> li
         units = available.units[channel_index]
         kind = f"envelope_{table.signal}"
         signal = ENVELOPE_SIGNALS[table.signal]
-        metric = envelope_metric(signal.value, signal.unit, units.named(signal.meaning), table.lower, table.upper)
+        metric = envelope_metric(signal.value, signal.unit, units.describe(signal.meaning), table.lower, table.upper)
         name = suffixed(kind, channel)
         names.append(name)
         count = names.count(name)  # several envelopes may bound one signal

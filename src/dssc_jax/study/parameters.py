@@ -43,21 +43,23 @@ class ParameterTable:
     plain: dict[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, table: TomlTable) -> "ParameterTable":
-        """Parse the table ``[parameters]``, each parameter after those on which it depends.
+    def from_toml(cls, table: TomlTable) -> "ParameterTable":
+        """Parse the table ``[parameters]`` in order of dependency, since an expression needs the parameters it names.
 
         Raises:
             ConfigError: A name, a number, a law or an expression is not valid, or parameters depend on one another.
         """
         if len(table) > MOST_PARAMETERS:
             raise ConfigError(PARAMETERS, f"holds at most {MOST_PARAMETERS} parameters, got {len(table)}")
-        entries = {}
+        unparsed_contents = {}
         parameters = cls(contents={}, quantities={})
         for name, value in table.items():
             require_name(name)
-            entries[name], parameters.quantities[name] = described_content(name, value)
-        for name in dependency_order(entries):
-            parameters.contents[name] = parameters.parsed_content(name, entries[name])
+            content, quantity = described_content(name, value)
+            unparsed_contents[name] = content
+            parameters.quantities[name] = quantity
+        for name in dependency_order(unparsed_contents):
+            parameters.contents[name] = parameters.parsed_content(name, unparsed_contents[name])
         return parameters
 
     def parsed_content(self, name: str, value: Any) -> Content:
@@ -101,7 +103,7 @@ class ParameterTable:
         return expression
 
     def needed_names(self, text: str) -> set[str]:
-        """Names of the parameters that an expression needs, directly or through expressions of other parameters."""
+        """Collect the parameters that an expression needs, directly or through expressions of other parameters."""
         needed: set[str] = set()
         pending_names = list(names_of(parse_expression(text)))
         while pending_names:
@@ -115,7 +117,7 @@ class ParameterTable:
         return needed
 
     def constant(self, text: str, place: str) -> float:
-        """Value of an expression that is needed before tracing; a whole number, such as a count, is an int.
+        """Compute an expression that is needed before tracing; a whole number, such as a count, is an int.
 
         Args:
             text: Text of the expression.
@@ -136,7 +138,7 @@ class ParameterTable:
             self.plain.setdefault(parameter.name, place)
 
     def resolved(self, value: object, place: str) -> Any:
-        """Part of a study's table in which the text of each expression has become an :class:`Expression`.
+        """Replace the text of each expression in a part of a study's table by an :class:`Expression`.
 
         Raises:
             ConfigError: An expression is not valid.
@@ -144,7 +146,7 @@ class ParameterTable:
         return self.substitute(value, place, self.expression)
 
     def constants(self, value: object, place: str) -> Any:
-        """Part of a study's table in which each expression has become a plain number.
+        """Replace each expression in a part of a study's table by a plain number.
 
         Raises:
             ConfigError: An expression is not valid, or depends on a law.
@@ -234,17 +236,17 @@ def described_content(name: str, value: object) -> tuple[object, Quantity]:
     return content if has_law else content["value"], Quantity(unit, meaning)
 
 
-def dependency_order(entries: Mapping[str, object]) -> list[str]:
-    """Names of the parameters in an order in which each depends on earlier ones only.
+def dependency_order(unparsed_contents: Mapping[str, object]) -> list[str]:
+    """Sort the names of the parameters so that each depends on earlier ones only.
 
     Args:
-        entries: Content of each parameter by name, not yet parsed.
+        unparsed_contents: Content of each parameter by name.
 
     Raises:
         ConfigError: An expression is not valid, or parameters depend on one another.
     """
     order: list[str] = []
-    for root in entries:
+    for root in unparsed_contents:
         path = [root]  # from the root to one of the parameters on which it depends
         while path:
             name = path[-1]
@@ -252,7 +254,7 @@ def dependency_order(entries: Mapping[str, object]) -> list[str]:
                 path.pop()
                 continue
             with value_errors_at(f"{PARAMETERS}.{name}"):
-                parents = [parent for parent in names_within(entries[name]) if parent in entries]
+                parents = [parent for parent in names_within(unparsed_contents[name]) if parent in unparsed_contents]
             missing_parents = [parent for parent in parents if parent not in order]
             if not missing_parents:
                 order.append(path.pop())

@@ -41,7 +41,7 @@ def parse_finite_or_text(value: object) -> float | str:
 
 
 def parse_unit_text(value: object) -> str:
-    """The text of a unit, after a check that it is a product of powers such as ``kg m^2/s``.
+    """Check that the text of a unit is a product of powers such as ``kg m^2/s``.
 
     Raises:
         ValueError: The value is something else.
@@ -95,7 +95,7 @@ def parse_axis(value: object) -> tuple[float, ...]:
 
 
 def spaced_values(spacing: str, arguments: list[Any]) -> tuple[float, ...]:
-    """Values from ``lo`` to ``hi`` at equal distances, or in equal ratios.
+    """Space values from ``lo`` to ``hi`` at equal distances, or in equal ratios.
 
     Args:
         spacing: ``linspace`` for equal distances, ``logspace`` for equal ratios.
@@ -148,8 +148,8 @@ def parse_free_parameter(value: object) -> tuple[float, float] | float:
     return float(value)
 
 
-def parse_limit(value: Any) -> float | str:
-    """Parse the limit of a metric in a tuning: a bound > 0, or the word ``start`` for the metric's first value.
+def parse_tuning_limit(value: Any) -> float | str:
+    """Parse the limit of a metric in a tuning: a bound > 0, or ``start`` for its value at the start of the tuning.
 
     Raises:
         ValueError: The value is neither.
@@ -157,5 +157,7 @@ def parse_limit(value: Any) -> float | str:
     if value == "start":
         return value
     if not is_number(value) or not value > 0:
-        raise ValueError(f"must be a number > 0, or 'start' for what the start has, got {value!r}")
+        raise ValueError(
+            f"must be a number > 0, or 'start' for the metric's value at the start of the tuning, got {value!r}"
+        )
     return float(value)

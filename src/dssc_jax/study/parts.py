@@ -45,9 +45,9 @@ class LoopParts(NamedTuple):
     """All parts of a loop, parsed.
 
     Args:
-        single: Plant, reference and wind, by slot.
-        columns: Parts that a loop may have several times, by slot. Most slots have a part for each channel. The slot
-            ``events`` has the events of the vehicle, ``inputs`` the disturbance at each named input, and
+        shared_parts: Plant, reference and wind, by slot.
+        repeated_parts: Parts that a loop may have several times, by slot. Most slots have a part for each channel. The
+            slot ``events`` has the events of the vehicle, ``inputs`` the disturbance at each named input, and
             ``signal_sensor`` the sensor of each measured signal besides y and y'.
         channels: Names of the channels; one empty name for a plant with one channel.
         units: Units and meanings of each channel.
@@ -57,8 +57,8 @@ class LoopParts(NamedTuple):
         measures: Signals that the study measures besides y and y'.
     """
 
-    single: dict[str, Component]
-    columns: dict[str, list[Component]]
+    shared_parts: dict[str, Component]
+    repeated_parts: dict[str, list[Component]]
     channels: tuple[str, ...]
     units: tuple[ChannelUnits, ...]
     inputs: tuple[NamedSignal, ...]
@@ -67,32 +67,34 @@ class LoopParts(NamedTuple):
     measures: tuple[NamedSignal, ...]
 
     def loop(self, config: StudyTable) -> Loop:
-        """The loop before tracing: the models of all parts in their slots, and the clock of the study."""
+        """Make the loop before tracing: the models of all parts in their slots, and the clock of the study."""
+        has_events = bool(self.repeated_parts["events"])
+        rotors = self.shared_parts["plant"].params.vehicle.rotors if has_events else 0  # 0: not needed
         return Loop(
-            **{slot: part.model for slot, part in self.single.items()},
-            **{slot: tuple(part.model for part in column) for slot, column in self.columns.items()},
+            **{slot: part.model for slot, part in self.shared_parts.items()},
+            **{slot: tuple(part.model for part in parts) for slot, parts in self.repeated_parts.items()},
             channels=self.channels,
             measures=self.measures,
             input_names=tuple(signal.name for signal in self.inputs),
             outputs=self.outputs,
-            rotors=self.single["plant"].params.vehicle.rotors if self.columns["events"] else 0,  # 0: not needed
+            rotors=rotors,
             **time_fields(config),
         )
 
     @property
     def template(self) -> LoopParams:
-        """Parameters of all parts in their slots; the leaves are numbers, laws and expressions."""
+        """Parameters of all parts in their slots before sampling: the leaves are numbers, laws and expressions."""
         return LoopParams(
-            **{slot: part.params for slot, part in self.single.items()},
-            **{slot: tuple(part.params for part in column) for slot, column in self.columns.items()},
+            **{slot: part.params for slot, part in self.shared_parts.items()},
+            **{slot: tuple(part.params for part in parts) for slot, parts in self.repeated_parts.items()},
         )
 
     @property
     def numbers(self) -> list[Number]:
         """Records of the numbers of all parts; a number that channels share occurs once for each of them."""
-        parts = list(self.single.values())
-        for column in self.columns.values():
-            parts += column
+        parts = list(self.shared_parts.values())
+        for parts_of_slot in self.repeated_parts.values():
+            parts += parts_of_slot
         records: list[Number] = []
         for part in parts:
             records += part.numbers
@@ -102,8 +104,8 @@ class LoopParts(NamedTuple):
 def parse_parts(config: StudyTable, parameters: ParameterTable) -> LoopParts:
     """Parse all parts of a loop, and check that they fit together.
 
-    A slot is a place for parts, such as ``plant`` or ``controller``. A single part serves the whole loop. A column has
-    the parts of a slot that occurs several times, mostly one for each channel.
+    A slot is a place for parts, such as ``plant`` or ``controller``. A shared part serves the whole loop. A slot of
+    repeated parts has several, mostly one for each channel.
 
     Args:
         config: The study's tables; each slot has one.
@@ -118,32 +120,34 @@ def parse_parts(config: StudyTable, parameters: ParameterTable) -> LoopParts:
     # the table of each slot, with parsed expressions of the parameters
     tables = {slot: parameters.resolved(getattr(config, section_of(config, slot)), slot) for slot in SLOTS}
     parameters.resolved(config.compare, "compare")  # raises if an expression is not valid; a comparison reads it later
-    # the plant, which tells the channels; then the other single parts
+    # the plant, which tells the channels; then the other shared parts
     plant = parse_plant(tables["plant"], config.loop)
     channels = plant.model.channels or ("",)  # the only channel of a plant with one has no name
     units = parse_units(config.units, plant.model, channels)
-    single_parts = parse_single_parts(tables, plant, channels, units)
+    shared_parts = parse_shared_parts(tables, plant, channels, units)
     # the signals that the plant takes and reports, and those that sensors measure
     inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
     outputs = plant.model.reported(plant.params)
     measurable = measurable_signals(plant.model, nominal_params(plant.params), outputs, channels, units)
     sensors = sensor_tables(tables["sensor"], measurable)
     measures = tuple(measurable[name] for name in sensors.measures)
-    # the columns; controllers with a fit are fitted to this plant
-    columns = parse_columns({**tables, "sensor": sensors.channels}, inputs, channels, units)
-    columns["signal_sensor"] = parse_signal_sensors(sensors, measurable)
+    # the repeated parts; controllers with a fit are fitted to this plant
+    repeated_parts = parse_repeated_parts({**tables, "sensor": sensors.channels}, inputs, channels, units)
+    repeated_parts["signal_sensor"] = parse_signal_sensors(sensors, measurable)
     sample_time = config.loop.sample_time
-    columns["controller"] = fitted_controllers(columns["controller"], plant, channels, sample_time, measures)
-    require_controllers(columns["controller"], channels, measures)
-    columns["sensor"] = with_bounded_jitter(columns["sensor"], channels, sample_time)
+    repeated_parts["controller"] = fitted_controllers(
+        repeated_parts["controller"], plant, channels, sample_time, measures
+    )
+    require_controllers(repeated_parts["controller"], channels, measures)
+    repeated_parts["sensor"] = with_bounded_jitter(repeated_parts["sensor"], channels, sample_time)
     # events: of each channel, then of the vehicle
     events = events_of(parameters.resolved(config.event, EVENT), plant, channels)
     for slot in CHANNEL_EVENTS:
-        columns[slot] = with_channel_events(columns[slot], events, channels, slot)
-    columns["events"] = list(vehicle_events(events, plant.params.vehicle)) if events else []
+        repeated_parts[slot] = with_channel_events(repeated_parts[slot], events, channels, slot)
+    repeated_parts["events"] = list(vehicle_events(events, plant.params.vehicle)) if events else []
     return LoopParts(
-        single=single_parts,
-        columns=columns,
+        shared_parts=shared_parts,
+        repeated_parts=repeated_parts,
         channels=channels,
         units=units,
         inputs=inputs,
@@ -166,7 +170,7 @@ def parse_plant(table: TomlTable, clock: LoopTable) -> Component:
     return plant
 
 
-def parse_single_parts(
+def parse_shared_parts(
     tables: TomlTable, plant: Component, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]
 ) -> dict[str, Component]:
     """Parse the parts that a loop has once: reference and wind, besides the plant.
@@ -201,7 +205,7 @@ def parse_single_parts(
     return parts
 
 
-def parse_columns(
+def parse_repeated_parts(
     tables: TomlTable, inputs: Sequence[NamedSignal], channels: tuple[str, ...], units: tuple[ChannelUnits, ...]
 ) -> dict[str, list[Component]]:
     """Parse the parts that a loop has once for each channel, and the disturbance of each named input.
@@ -219,19 +223,19 @@ def parse_columns(
         ConfigError: A table is not valid.
     """
     input_names = [signal.name for signal in inputs]
-    columns = {}
+    repeated_parts = {}
     for slot in PER_CHANNEL:
         if slot == "disturbance":
             parts = parse_disturbances(tables[slot], channels, input_names)
         else:
             parts = parse_channels(tables[slot], slot, channels)
-        columns[slot] = [with_units(part, unit) for part, unit in zip(parts, units, strict=True)]
-    columns["inputs"] = []
+        repeated_parts[slot] = [with_units(part, unit) for part, unit in zip(parts, units, strict=True)]
+    repeated_parts["inputs"] = []
     disturbances = parse_inputs(tables["disturbance"], channels, input_names)
     for part, signal in zip(disturbances, inputs, strict=True):
         units_of_input = units[0]._replace(command=signal.unit or UNNAMED_UNITS.command)  # for the symbol u
-        columns["inputs"].append(with_units(part, units_of_input))
-    return columns
+        repeated_parts["inputs"].append(with_units(part, units_of_input))
+    return repeated_parts
 
 
 def require_controllers(
@@ -256,7 +260,7 @@ def require_controllers(
 
 
 def with_bounded_jitter(sensors: Sequence[Component], channels: Sequence[str], sample_time: float) -> list[Component]:
-    """The sensors with the sample time as upper bound of their jitter, also in sweeps and margins.
+    """Bound the jitter of the sensors by the sample time, also in sweeps and margins.
 
     Args:
         sensors: Sensor of each channel, parsed.

@@ -14,9 +14,9 @@ from dssc_jax.study.parsed_values import (
     parse_finite,
     parse_finite_or_text,
     parse_free_parameter,
-    parse_limit,
     parse_points,
     parse_range,
+    parse_tuning_limit,
     parse_unit_text,
 )
 
@@ -260,7 +260,7 @@ class TuneTable(BaseModel):
     objective: dict[str, Finite] = Field(description="weight of each metric in the objective")
     aggregate: Literal["mean", "cvar", "worst"] = Field(default="cvar", description="how draws are combined")
     level: Finite = Field(default=0.95, gt=0.0, lt=1.0, description="level of `cvar`")
-    limits: dict[str, Annotated[float | str, BeforeValidator(parse_limit)]] = Field(
+    limits: dict[str, Annotated[float | str, BeforeValidator(parse_tuning_limit)]] = Field(
         default={}, description="bound of other metrics; `start`: their value at the start"
     )
     slack: Finite | None = Field(

@@ -110,7 +110,7 @@ def check_swept_parts(
     if PARAMETERS in slots:  # any part may depend on a parameter
         slots = {slot for slot in TABLES if slot in table}
     try:
-        parameters = ParameterTable.of(table.get(PARAMETERS, {}))
+        parameters = ParameterTable.from_toml(table.get(PARAMETERS, {}))
         for slot in sorted(slots):
             parse_slot(slot, parameters.resolved(table[slot], slot), loop, measurable)
         if loop.events:

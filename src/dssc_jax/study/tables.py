@@ -47,7 +47,7 @@ def read_toml(path: str | Path) -> TomlTable:
 
 
 def toml_text(path: str | Path) -> str:
-    """Text of a TOML file, with plain line ends.
+    """Read the text of a TOML file, with plain line ends.
 
     Raises:
         ConfigError: The file cannot be read, is too large, or is not UTF-8.
@@ -88,7 +88,7 @@ def require_shallow(table: Mapping[str, object]) -> None:
 
 
 def to_toml(table: Mapping[str, object]) -> str:
-    """Text of the study file with this table."""
+    """Write the text of the study file with this table."""
     return tomli_w.dumps(dict(table))
 
 
@@ -132,7 +132,7 @@ def is_index(part: str) -> bool:
 
 
 def index_in(container: object, part: str) -> int | None:
-    """Index of the item of a list for which a part of a dotted name stands, by its ``name`` or its index.
+    """Find the index of the item of a list for which a part of a dotted name stands, by its ``name`` or its index.
 
     None if the container is no list or has no such item.
     """
@@ -226,7 +226,7 @@ def no_such_part(container: object, parents: Sequence[str], part: str) -> str:
 
 
 def indices_text(count: int) -> str:
-    """Number of entries of a list, and their indices, in words."""
+    """State the number of entries of a list, and their indices."""
     match count:
         case 0:
             return "no entry"
@@ -242,7 +242,7 @@ def is_entries(value: object) -> bool:
 
 
 def with_entries(values: Sequence[Any], entries: Mapping[str, Any]) -> list[Any]:
-    """A list into which new entries are merged by their index; all other entries stay.
+    """Merge new entries into a list by their index; all other entries stay.
 
     Args:
         values: The list.
@@ -275,7 +275,7 @@ def with_default(value: Any, default: Any) -> Any:
 
 
 def with_description(value: object, former_content: object) -> object:
-    """The new content of a parameter, with the unit and the meaning of its former content.
+    """Replace the content of a parameter, and keep the unit and the meaning of its former content.
 
     A new content that is a table other than a law states its own unit and meaning.
     """
@@ -290,7 +290,7 @@ def with_description(value: object, former_content: object) -> object:
 
 
 def with_changes(table: Mapping[str, object], changes: Mapping[str, object], source: str) -> TomlTable:
-    """A copy of a study's table with other values, by dotted name.
+    """Copy a study's table with other values, by dotted name.
 
     Args:
         table: Table of the study.
@@ -309,7 +309,7 @@ def with_changes(table: Mapping[str, object], changes: Mapping[str, object], sou
 
 
 def merge_tables(common: TomlTable, override: TomlTable) -> TomlTable:
-    """A copy of ``common`` into which each entry of ``override`` is merged, by the rules of :func:`merge_values`."""
+    """Merge each entry of ``override`` into a copy of ``common``, by the rules of :func:`merge_values`."""
     merged = dict(common)
     for name, value in override.items():
         with errors_under(name):
@@ -346,7 +346,7 @@ def stands_alone(override: TomlTable, common: TomlTable) -> bool:
 
 
 def common_table(table: TomlTable, channels: Collection[str]) -> TomlTable:
-    """The entries of a section that all channels share: those that are not the table of a channel."""
+    """Select the entries of a section that all channels share: those that are not the table of a channel."""
     return {name: value for name, value in table.items() if name not in channels}
 
 
@@ -370,7 +370,7 @@ def has_dotted(table: TomlTable, name: str) -> bool:
 
 
 def enclosing_list(table: Mapping[str, object], name: str) -> tuple[str, list[Any]] | None:
-    """Dotted name and content of the outermost list on the way to a dotted name; None if there is no list."""
+    """Find the outermost list that contains the entry with a dotted name, with its own name; None if there is none."""
     node: Any = table
     parts = name.split(".")
     for depth, part in enumerate(parts):

@@ -83,13 +83,13 @@ def test_the_worst_seen_of_each_requirement_is_a_draw_of_its_own(study):
     own = [{"metric": "error_max", "after": 1.5, "max": 0.8}, {"metric": "error_rms", "max": 1e6}]
     found = dj.falsify(study.override({"requirement": own}), budget=64)
     metrics = ("error_max_after_1.5", "error_rms")
-    assert len(found.worst_seen) == 2
+    assert len(found.worst_value_texts) == 2
     for metric, requirement in zip(metrics, found.study.requirements, strict=True):
         slacks = found.dataset[requirement.name].values
         table = {name: value for name, value in found.study.table.items() if name != "design"} | {"draws": 1}
         alone = dj.Study.from_table(table).override(found.numbers_at(int(np.argmin(slacks))))
         value = float(dj.run(alone).dataset[metric].values.ravel()[0])
-        assert float(found.worst_seen[requirement.short].split()[0]) == pytest.approx(value, rel=1e-3)
+        assert float(found.worst_value_texts[requirement.short_text].split()[0]) == pytest.approx(value, rel=1e-3)
         assert value == pytest.approx(requirement.bound - slacks.min(), rel=1e-6)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.analyses.margins import Margins
-from dssc_jax.analyses.margins.search import Censoring, Critical, CriticalDraws, Walk
+from dssc_jax.analyses.margins.search import Censoring, CriticalDraws, CriticalValues, Walk
 from dssc_jax.engine import kernels
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.results import result as results
@@ -195,7 +195,9 @@ def test_no_requirement_means_staying_finite(study):
 def margins_of(study, censoring, value, walk):
     """Margins with the given critical values."""
     draws = len(value)
-    critical = Critical(np.asarray(value), np.asarray(censoring), np.zeros(draws, bool), np.zeros((walk.points, draws)))
+    critical = CriticalValues(
+        np.asarray(value), np.asarray(censoring), np.zeros(draws, bool), np.zeros((walk.points, draws))
+    )
     critical_draws = CriticalDraws(critical, {})
     return Margins.of(study.override({"draws": draws}), "unmodelled.mu", walk, critical_draws, (), seconds=0.0)
 

@@ -139,9 +139,11 @@ def test_a_study_agrees_with_plain_draws():
     content = found.summary()
     assert content["where"]["plant.k_p"]["failing"][2] < content["where"]["plant.k_p"]["median"]  # weak gain fails
     engine = Engine(study, 100)
-    count = min(100, len(found.estimate.noise))
+    count = min(100, len(found.estimate.noise_index))
     again = evaluate(
-        engine, {name: values[:count] for name, values in found.failing_values.items()}, found.estimate.noise[:count]
+        engine,
+        {name: values[:count] for name, values in found.failing_values.items()},
+        found.estimate.noise_index[:count],
     )
     assert np.all(worst_slack(study.requirements, again) < 0.0)
 

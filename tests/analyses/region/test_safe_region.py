@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.region.safe_region import COARSE, Lattice, PairVerdict, meeting_ends, thresholds
+from dssc_jax.analyses.region.lattice import Thresholds, thresholds
+from dssc_jax.analyses.region.safe_region import COARSE, Lattice, PairVerdict, meeting_ends
 from dssc_jax.plotting.regions import COLOURS_OF_VERDICTS, enclosed_cells
 from tests.loops import LAGGED
 
@@ -29,7 +30,8 @@ class Disc(Lattice):
 
     def __init__(self, count):
         self.failures = np.full((count, count), -1)
-        self.meets, self.fails, self.count = 3, 12, count
+        self.thresholds = Thresholds(most_failures_to_meet=3, least_failures_to_refute=12)
+        self.count = count
 
     def simulate(self, points):
         for i, j in points:

@@ -11,7 +11,7 @@ import dssc_jax
 from dssc_jax.core.integrators import rk4
 from dssc_jax.core.numerics import clip
 from dssc_jax.core.trace_memory import names as naming
-from dssc_jax.core.trace_memory.names import name_of, sources_digest
+from dssc_jax.core.trace_memory.names import cache_key, sources_digest
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.engine.batching import lane_of_study
 from dssc_jax.engine.evaluation import forward_mode
@@ -42,11 +42,11 @@ def test_things_that_differ_in_anything_have_different_names():
         jax.ShapeDtypeStruct((), np.float64), jax.ShapeDtypeStruct((), np.float32),
         jax.ShapeDtypeStruct((1,), np.float64),
     ]  # fmt: skip
-    names = [name_of(thing) for thing in things]
+    names = [cache_key(thing) for thing in things]
     assert None not in names
     assert len(set(names)) == len(things)
-    assert name_of(*things) == name_of(*things)
-    assert name_of(1, 2) != name_of((1, 2))
+    assert cache_key(*things) == cache_key(*things)
+    assert cache_key(1, 2) != cache_key((1, 2))
 
 
 @pytest.mark.parametrize(
@@ -67,8 +67,8 @@ def test_things_that_differ_in_anything_have_different_names():
 )
 def test_a_lane_has_another_name_if_anything_of_its_study_differs(change):
     study, changed = Study.from_table(UNCERTAIN), Study.from_table(UNCERTAIN).override(change)
-    assert name_of(lane_of_study(study)) == name_of(lane_of_study(Study.from_table(UNCERTAIN)))
-    assert None is not name_of(lane_of_study(study)) != name_of(lane_of_study(changed)) is not None
+    assert cache_key(lane_of_study(study)) == cache_key(lane_of_study(Study.from_table(UNCERTAIN)))
+    assert None is not cache_key(lane_of_study(study)) != cache_key(lane_of_study(changed)) is not None
 
 
 def test_programs_of_one_study_have_different_names():
@@ -78,15 +78,15 @@ def test_programs_of_one_study_have_different_names():
         lane_of_study(study, axis_name=None),
         *(forward_mode(study, [name]) for name in study.axes),
     )
-    assert len({None, *map(name_of, lanes)}) == len(lanes) + 1
+    assert len({None, *map(cache_key, lanes)}) == len(lanes) + 1
 
 
 def test_the_settings_of_jax_are_part_of_a_name():
     with jax.enable_x64(False):
-        single = name_of(clip)
+        single = cache_key(clip)
     with jax.threefry_partitionable(not jax.config.jax_threefry_partitionable):
-        assert len({single, name_of(clip)}) == 2
-    assert name_of(clip) not in (single, None)
+        assert len({single, cache_key(clip)}) == 2
+    assert cache_key(clip) not in (single, None)
 
 
 def mine(x):
@@ -128,17 +128,17 @@ def closing_over(value):
     ids=lambda thing: type(thing).__name__,
 )
 def test_what_is_not_described_completely_has_no_name(thing):
-    assert name_of(thing) is None
+    assert cache_key(thing) is None
 
 
 def test_functions_are_told_apart_by_place_and_by_what_they_close_over(known):
     same_line = [lambda x: x, lambda x: x + 0, lambda x, y=1: x, lambda x, y=2: x, lambda x, *, y=2: x]
     closures = [closing_over(1), closing_over(1.0), closing_over(mine), closing_over(closing_over(1))]
     functions = [mine, jax.jit(mine), disguised, *same_line, *closures]
-    names = [name_of(function) for function in functions]
+    names = [cache_key(function) for function in functions]
     assert None not in names
     assert len(set(names)) == len(functions)
-    assert name_of(closing_over(1)) == name_of(closing_over(1))
+    assert cache_key(closing_over(1)) == cache_key(closing_over(1))
 
 
 def test_a_function_may_close_over_itself(known):
@@ -148,22 +148,22 @@ def test_a_function_may_close_over_itself(known):
     def other(x):
         return x and other(x)
 
-    names = {name_of(endless), name_of(other)}
+    names = {cache_key(endless), cache_key(other)}
     assert len(names) == 2
     assert None not in names
 
 
 def test_sources_that_may_not_be_what_runs_have_no_name(monkeypatch):
-    assert name_of(1) is not None
+    assert cache_key(1) is not None
     sources_digest.cache_clear()
     newest = max(file.stat().st_ctime for file in naming.package_sources())
     for imported, some in ((newest + 1e-6, True), (newest, False)):
         monkeypatch.setattr(dssc_jax, "IMPORTED", imported)
-        assert (name_of(1) is not None) == some
+        assert (cache_key(1) is not None) == some
         sources_digest.cache_clear()
     monkeypatch.undo()
     monkeypatch.setattr(naming, "package_sources", list)  # as from an archive
-    assert name_of(1) is None
+    assert cache_key(1) is None
     sources_digest.cache_clear()
 
 
@@ -178,7 +178,7 @@ def test_every_byte_of_every_source_is_part_of_a_name(monkeypatch, tmp_path):
         monkeypatch.setattr(dssc_jax, "__file__", str(root / "__init__.py"))
         monkeypatch.setattr(dssc_jax, "IMPORTED", float("inf"))
         sources_digest.cache_clear()
-        names.add(name_of(1))
+        names.add(cache_key(1))
     sources_digest.cache_clear()
     assert len(names) == 4
     assert None not in names

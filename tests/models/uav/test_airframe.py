@@ -83,7 +83,7 @@ def test_a_ground_stations_file_gives_the_same():
 
 def test_the_desaturation_is_px4s_default_where_the_file_is_silent():
     assert read_airframe(with_properties()).plant["desaturation"] == "airmode_disabled"
-    assert read_airframe(with_properties(), cascade=True).plant["desaturation"] == "airmode_disabled"
+    assert read_airframe(with_properties(), use_px4_cascade=True).plant["desaturation"] == "airmode_disabled"
     assert read_airframe(with_properties(MC_AIRMODE=2)).plant["desaturation"] == "airmode_roll_pitch_yaw"
 
 
@@ -205,7 +205,7 @@ def test_a_stated_length_multiplies_positions_and_gains_without_counterpart_are_
 
 def test_the_cascade_takes_the_gains_of_the_file():
     text = QUAD + "\nparam set-default MC_ROLLRATE_P 0.2\nparam set-default MPC_XY_P 0.9"
-    found = read_airframe(text, mass=2.0, cascade=True)
+    found = read_airframe(text, mass=2.0, use_px4_cascade=True)
     assert found.plant["inner_loop"]["kind"] == "px4"
     assert found.plant["inner_loop"]["rate_p"][0] == 0.2
     assert "k_p of [controller], of its .z and of its .psi: MPC_XY_P = 0.9" in found.notes
@@ -218,12 +218,12 @@ def test_the_cascade_takes_the_gains_of_the_file():
 def test_rate_of_the_loops_is_that_of_the_file_and_unused_limits_are_named():
     """IMU_GYRO_RATEMAX is the cascade's frequency; what no field takes stands in a note with its value."""
     text = QUAD + "\nparam set-default IMU_GYRO_RATEMAX 800\nparam set-default THR_MDL_FAC 0.3\n"
-    cascade = read_airframe(text, mass=2.0, cascade=True)
+    cascade = read_airframe(text, mass=2.0, use_px4_cascade=True)
     assert cascade.plant["inner_loop"]["frequency"] == 800.0
     assert any(note == "not used: THR_MDL_FAC = 0.3" for note in cascade.notes)
     plain = read_airframe(text, mass=2.0)
     assert any(note == "not used: THR_MDL_FAC = 0.3, IMU_GYRO_RATEMAX = 800" for note in plain.notes)
-    silent = read_airframe(QUAD, mass=2.0, cascade=True)
+    silent = read_airframe(QUAD, mass=2.0, use_px4_cascade=True)
     assert "frequency" not in silent.plant["inner_loop"]
     assert any("400 Hz" in note for note in silent.notes)
 
@@ -246,7 +246,7 @@ def test_coordinates_that_only_some_rotors_lack_are_named():
 
 def test_gains_of_the_position_control_are_told_with_their_values():
     text = with_properties() + "\nparam set MPC_XY_P 0.95\nparam set MC_YAW_P 2.8"
-    notes = read_airframe(text, cascade=True).notes
+    notes = read_airframe(text, use_px4_cascade=True).notes
     assert "k_p of [controller], of its .z and of its .psi: MPC_XY_P = 0.95, MC_YAW_P = 2.8" in notes
     assert not any("without a counterpart" in note for note in notes)
 

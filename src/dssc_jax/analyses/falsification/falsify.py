@@ -156,7 +156,7 @@ class Falsified(Analysis):
         return int(np.argmin(distances))
 
     def numbers_at(self, point: int) -> dict[str, float]:
-        """Value of each uncertain number at a simulated point, by dotted name."""
+        """Return the value of each uncertain number at a simulated point, by dotted name."""
         return {name: float(self.dataset[name][point]) for name in self.study.laws}
 
     def likelihood_at(self, point: int) -> Likelihood:
@@ -169,32 +169,32 @@ class Falsified(Analysis):
         return float(self.dataset["slack"][self.worst])
 
     def binding_requirement_at(self, point: int) -> Requirement | None:
-        """The worst requirement of a point; None if its draw ends early, which violates all of them."""
+        """Return the worst requirement of a point; None if its draw ends early, which violates all of them."""
         if self.dataset["ended"].values[point] != RAN_TO_END:
             return None
         return self.study.requirements[int(self.dataset["binding"][point])]
 
     def binding_at(self, point: int) -> str | None:
-        """The worst requirement of a point, in words; None if its draw ends early, which violates all of them."""
+        """Name the worst requirement of a point, in words; None if its draw ends early, which violates all of them."""
         requirement = self.binding_requirement_at(point)
-        return None if requirement is None else requirement.short
+        return None if requirement is None else requirement.short_text
 
     def value_at(self, point: int) -> str | None:
-        """The metric of the worst requirement of a point, with its unit; None if its draw ends early."""
+        """Format the metric of the worst requirement of a point, with its unit; None if its draw ends early."""
         requirement = self.binding_requirement_at(point)
         if requirement is None:
             return None
         return value_text(requirement, float(self.dataset["distance_to_bound"][point]))
 
     @property
-    def worst_seen(self) -> dict[str, str]:
-        """The worst value of each required metric with its unit, over all points whose draws run to their end."""
+    def worst_value_texts(self) -> dict[str, str]:
+        """The worst value of each required metric, with its unit, over the points whose simulations were completed."""
         ran_to_end = self.dataset["ended"].values == RAN_TO_END
         texts = {}
         for requirement in self.study.requirements:
             slacks = self.dataset[requirement.name].values[ran_to_end]
             if np.any(~np.isnan(slacks)):
-                texts[requirement.short] = value_text(requirement, float(np.nanmin(slacks)))
+                texts[requirement.short_text] = value_text(requirement, float(np.nanmin(slacks)))
         return texts
 
     def ending_at(self, point: int) -> str | None:
@@ -220,7 +220,7 @@ class Falsified(Analysis):
     def first_at(self, point: int) -> str | None:
         """The requirement that a point violates first, before its draw ends, in words; None if it violates none."""
         index = int(self.dataset["first"].values[point])
-        return None if index == NOTHING_VIOLATED else self.study.requirements[index].short
+        return None if index == NOTHING_VIOLATED else self.study.requirements[index].short_text
 
     @property
     def simulations(self) -> int:
@@ -274,7 +274,7 @@ class Falsified(Analysis):
             worst=self.point_answer(self.worst),
             units={name: self.study.quantities[name].unit for name in self.study.laws},
             nearest_failure=None if nearest is None else self.point_answer(nearest),
-            worst_seen=self.worst_seen,
+            worst_seen=self.worst_value_texts,
             simulations=self.simulations,
             stopped=self.stopped,
             first_failure=self.first_failure,

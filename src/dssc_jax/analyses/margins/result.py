@@ -110,7 +110,7 @@ class Margins(Analysis):
         compile_seconds: float = 0.0,
         unit: str = "1",
     ) -> Self:
-        """The margins of a study, from the critical values that a search found.
+        """Make the margins of a study, from the critical values that a search found.
 
         Args:
             study: The study.
@@ -151,7 +151,7 @@ class Margins(Analysis):
         return np.where(censoring == Censoring.INSIDE, self.direction * critical, outside)
 
     def at_rank(self, rank: int) -> float | None:
-        """The critical value of the draw at a rank: 1 is the draw that fails nearest to the start of the walk.
+        """Return the critical value of the draw at a rank: 1 is the draw that fails nearest to the start of the walk.
 
         It is the walk's end if that draw passes to the end, and None if it fails at the start.
         """
@@ -168,7 +168,7 @@ class Margins(Analysis):
         return self.at_rank((self.dataset.sizes["draw"] + 1) // 2)
 
     def lower_tolerance(self, content: float = CONTENT, confidence: float = CONFIDENCE) -> float | None:
-        """The value up to which a share ``content`` of all draws passes, with the given confidence (Wilks).
+        """Compute the value up to which a share ``content`` of all draws passes, with the given confidence (Wilks).
 
         Censored draws keep their places in the order. None means that there are too few draws, or that the limit lies
         before the walk's start. The walk's end means that the limit lies there or beyond.
@@ -210,7 +210,7 @@ class Margins(Analysis):
         """
         if "violated_first" not in self.dataset:
             return {}
-        names = [*(requirement.short for requirement in self.study.requirements), "ended early"]
+        names = [*(requirement.short_text for requirement in self.study.requirements), "ended early"]
         violated = self.dataset["violated_first"].values
         counts = {}
         for index, name in enumerate(names):
@@ -227,7 +227,7 @@ class Margins(Analysis):
         return f"median critical {self.parameter}: {middle}; 95 % of all draws pass up to: {lower}"
 
     def value_text(self, value: float | None) -> str:
-        """A value of the walk with its unit, as text; None stands for a value before the start."""
+        """Format a value of the walk with its unit, as text; None stands for a value before the start."""
         if value is None:
             return "before the start"
         unit = self.dataset["critical"].attrs["units"]
@@ -295,10 +295,10 @@ def margins_dataset(study: Study, parameter: str, walk: Walk, draws: CriticalDra
         "censoring": ("draw", critical.censoring, side_attributes),
         "non_monotone": ("draw", critical.non_monotone, {"long_name": "passes again beyond a failure"}),
     }
-    if critical.violated is not None:
+    if critical.first_violated is not None:
         meaning = "index of the requirement violated first"
-        variables["violated_first"] = ("draw", critical.violated, unit_and_meaning("1", meaning))
-    for name, values in draws.numbers.items():
+        variables["violated_first"] = ("draw", critical.first_violated, unit_and_meaning("1", meaning))
+    for name, values in draws.uncertain_values.items():
         drawn = study.quantities[name]
         variables[name] = ("draw", values, unit_and_meaning(drawn.unit, drawn.meaning))
     variables["slack"] = (("value", "draw"), critical.slack, unit_and_meaning(unit, "signed slack"))

@@ -48,7 +48,7 @@ class Walk:
     parted: float | None = None
 
     def at(self, share: np.ndarray) -> np.ndarray:
-        """The values at shares of the way from the start, at 0, to the end, at 1; of the same shape."""
+        """Return the values at shares of the way from the start, at 0, to the end, at 1; of the same shape."""
         if self.log:
             value = np.exp((1.0 - share) * np.log(self.start) + share * np.log(self.end))
         else:
@@ -65,35 +65,35 @@ class Walk:
         return self.at(np.linspace(0.0, 1.0, self.points))
 
 
-class Critical(NamedTuple):
-    """Critical values of n draws, as a search along a walk found them.
+class CriticalValues(NamedTuple):
+    """Value of the scanned parameter at which each of n draws starts to fail, as a search along a walk found it.
 
     Args:
-        value: The critical value; NaN if censored. Shape (n,).
+        value: The last passing value before the first failure; NaN if censored. Shape (n,).
         censoring: A :class:`Censoring` code. Shape (n,).
         non_monotone: Whether the draw passes again beyond a value at which it fails. Shape (n,).
         slack: Signed slacks on the grid, negative where the draw fails, shape (points, n).
-        violated: Index of the requirement that the draw violates first along the walk, as :class:`FirstViolated` counts
-            them, shape (n,); None if that is not known.
+        first_violated: Index of the requirement that the draw violates first along the walk, as
+            :class:`FirstViolated` counts them, shape (n,); None if that is not known.
     """
 
     value: np.ndarray
     censoring: np.ndarray
     non_monotone: np.ndarray
     slack: np.ndarray
-    violated: np.ndarray | None = None
+    first_violated: np.ndarray | None = None
 
 
 class CriticalDraws(NamedTuple):
-    """Critical values of n draws, with the draws' numbers.
+    """Critical values of n draws, with the draws' uncertain values.
 
     Args:
         critical: The critical values.
-        numbers: Value of each uncertain number in each draw, shape (n,) each.
+        uncertain_values: Value of each uncertain number in each draw, shape (n,) each.
     """
 
-    critical: Critical
-    numbers: Arrays
+    critical: CriticalValues
+    uncertain_values: Arrays
 
 
 class FirstViolated:
@@ -137,19 +137,19 @@ class FirstViolated:
         return slack
 
 
-def join_critical(blocks: Sequence[Critical]) -> Critical:
-    """The critical values of all draws, from the critical values of their blocks in order."""
-    violated = [block.violated for block in blocks if block.violated is not None]
-    return Critical(
+def join_critical(blocks: Sequence[CriticalValues]) -> CriticalValues:
+    """Join the critical values of blocks of draws in order; ``first_violated`` is known in all blocks or in none."""
+    first_violated = [block.first_violated for block in blocks if block.first_violated is not None]
+    return CriticalValues(
         value=np.concatenate([block.value for block in blocks]),
         censoring=np.concatenate([block.censoring for block in blocks]),
         non_monotone=np.concatenate([block.non_monotone for block in blocks]),
-        slack=np.concatenate([block.slack for block in blocks], axis=1),
-        violated=np.concatenate(violated) if violated else None,
+        slack=np.concatenate([block.slack for block in blocks], axis=1),  # of shape (points, draws)
+        first_violated=np.concatenate(first_violated) if first_violated else None,
     )
 
 
-def search_critical(slack_at: WalkSlack, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
+def search_critical(slack_at: WalkSlack, draws: int, walk: Walk, bisections: int = BISECTIONS) -> CriticalValues:
     """Find the critical values of all draws at once: the last passing value before the first failure.
 
     Args:
@@ -182,4 +182,4 @@ def search_critical(slack_at: WalkSlack, draws: int, walk: Walk, bisections: int
         safe, _ = bisect(crossing_draws_pass, safe, failing, bisections)
         value[crossing_draws] = walk.at(safe)
     passes_again = passes & (np.arange(walk.points)[:, None] > first_failure)
-    return Critical(value, censoring, non_monotone=np.any(passes_again, axis=0), slack=slack)
+    return CriticalValues(value, censoring, non_monotone=np.any(passes_again, axis=0), slack=slack)

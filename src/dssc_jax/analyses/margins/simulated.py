@@ -12,8 +12,8 @@ from dssc_jax.analyses.defaults import BISECTIONS, MOST_BISECTIONS, MOST_POINTS,
 from dssc_jax.analyses.margins.result import Margins
 from dssc_jax.analyses.margins.search import (
     CLOCK,
-    Critical,
     CriticalDraws,
+    CriticalValues,
     FirstViolated,
     Walk,
     join_critical,
@@ -102,7 +102,7 @@ def margin(
 
 
 def prove_along(study: Study, walk: Walk, over: str) -> JsonObject:
-    """The range of a walk for which the sampled loop is proved, or the reason why no proof covers it, as JSON.
+    """Find the range of a walk for which the sampled loop is proved, or the reason why no proof covers it, as JSON.
 
     Args:
         study: The study without a sweep.
@@ -125,7 +125,7 @@ def admissible_walk(
     bisections: int,
     parted: float | None = None,
 ) -> Walk:
-    """The walk of a search, if its settings are admissible.
+    """Make the walk of a search, if its settings are admissible.
 
     Args:
         over: Dotted name of the number.
@@ -149,11 +149,11 @@ def admissible_walk(
         raise ConfigError("points", f"must be in 2 .. {MOST_POINTS}, got {points}")
     if not 0 <= bisections <= MOST_BISECTIONS:
         raise ConfigError("bisections", f"must be in 0 .. {MOST_BISECTIONS}, got {bisections}")
-    return Walk(float(start), float(end), log, points, parted)
+    return Walk(start=float(start), end=float(end), log=log, points=points, parted=parted)
 
 
 def numbers_along(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
-    """A function that puts the values of a walk into drawn numbers: (numbers, values) -> the numbers of n lanes.
+    """Return a function that puts the values of a walk into drawn numbers: (numbers, values) -> the numbers of n lanes.
 
     Numbers and values have the shape (n,) each. A value of the walk replaces the drawn value of its number. A value of
     ``spread`` moves all drawn values, by their distance from the median.
@@ -164,11 +164,11 @@ def numbers_along(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arr
     """
 
     def with_number(numbers: Arrays, values: np.ndarray) -> Arrays:
-        """The drawn numbers, with other values of the walked number."""
+        """Return the drawn numbers, with other values of the walked number."""
         return {**numbers, over: values}
 
     def with_spread(numbers: Arrays, values: np.ndarray) -> Arrays:
-        """The drawn numbers under laws that are widened by factors."""
+        """Return the drawn numbers under laws that are widened by factors."""
         return {name: study.laws[name].spread(column, values) for name, column in numbers.items()}
 
     return with_spread if over == SPREAD else with_number
@@ -243,13 +243,13 @@ def critical_numbers(
         """Report the lanes done so far."""
         progress(clock.lanes, total)
 
-    blocks: list[Critical] = []
+    blocks: list[CriticalValues] = []
     block_numbers: list[Arrays] = []
     for begin in range(0, draws, evaluator.lanes):
         block = slice(begin, min(begin + evaluator.lanes, draws))
         draws_of_block = critical_block(evaluator, block, numbers_at, walk, bisections, report)
         blocks.append(draws_of_block.critical)
-        block_numbers.append(draws_of_block.numbers)
+        block_numbers.append(draws_of_block.uncertain_values)
     return CriticalDraws(join_critical(blocks), join_batches(block_numbers))
 
 
@@ -284,7 +284,7 @@ def critical_block(
         return slack
 
     critical = search_critical(slack_at, len(indices), walk, bisections)
-    return CriticalDraws(critical._replace(violated=violated.requirement), laws)
+    return CriticalDraws(critical._replace(first_violated=violated.requirement), laws)
 
 
 def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: ProgressCallback) -> CriticalDraws:
@@ -321,4 +321,4 @@ def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: Prog
         return violated.record(draws, values, study_at_value, results)
 
     critical = search_critical(slack_at, study.config.draws, walk, bisections=0)
-    return CriticalDraws(critical._replace(violated=violated.requirement), numbers)
+    return CriticalDraws(critical._replace(first_violated=violated.requirement), numbers)

@@ -103,7 +103,7 @@ def stratified_probability(
     counter = SlackCounter(slack)
     rng = generator(*seeds, stream("strata"))
     points = inside_cube(rng.random((PILOT, dimension)))
-    surrogate = Surrogate(points, counter(points, counter.fresh(PILOT)), np.ones(PILOT))
+    surrogate = Surrogate(points, counter(points, counter.unused_noise(PILOT)), np.ones(PILOT))
     sample = inside_cube(rng.random((SAMPLE, dimension)))
     edges, draws = plan_strata(surrogate, surrogate(sample), width, most_draws)
     extra_draws = min(MOST_EXTRA_DRAWS, int(draws.sum()) // DRAWS_PER_EXTRA_DRAW)
@@ -117,13 +117,15 @@ def stratified_probability(
         net_points = inside_cube(sobol_points(dimension, 0, size, (*seeds, stream("strata"), net)))
         weights[net] = stratum_counts(edges, surrogate(net_points)) / size
     stratum_points, stratum = points_in_strata(surrogate, edges, draws, dimension, rng)
-    failed = counter(stratum_points, counter.fresh(len(stratum_points))) < 0.0
+    failed = counter(stratum_points, counter.unused_noise(len(stratum_points))) < 0.0
     failures = np.bincount(stratum[failed], minlength=len(draws))
-    return StratifiedEstimate(counter.simulations, weights, failures, draws, edges)
+    return StratifiedEstimate(
+        simulations=counter.simulations, weights=weights, failures=failures, draws=draws, edges=edges
+    )
 
 
 def stratum_counts(edges: np.ndarray, predictions: np.ndarray) -> np.ndarray:
-    """Number of points in each stratum, shape (strata,).
+    """Count the points in each stratum, shape (strata,).
 
     Args:
         edges: Edges of the strata, shape (strata - 1,).
@@ -149,7 +151,7 @@ def improve_surrogate(surrogate: Surrogate, sample: np.ndarray, extra_draws: int
     nearest = np.argsort(distances)[: BAND * extra_draws]
     border_points = sample[nearest[::BAND]]
     points = np.concatenate([surrogate.points, border_points])
-    slacks = np.concatenate([surrogate.slacks, counter(border_points, counter.fresh(extra_draws))])
+    slacks = np.concatenate([surrogate.slacks, counter(border_points, counter.unused_noise(extra_draws))])
     is_in_band = np.abs(surrogate(points)) <= distances[nearest[-1]]
     expected_pilot_draws = PILOT * len(nearest) / len(sample)  # in the band
     weight_in_band = expected_pilot_draws / (expected_pilot_draws + extra_draws)

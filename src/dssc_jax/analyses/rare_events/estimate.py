@@ -66,7 +66,7 @@ def simulate_plain_draws(
         dimension: Number d of coordinates.
     """
     points = rng.standard_normal((draws, dimension))
-    return PlainSimulations(points, counter(points, counter.fresh(draws)))
+    return PlainSimulations(points, counter(points, counter.unused_noise(draws)))
 
 
 @dataclass(frozen=True)
@@ -76,14 +76,14 @@ class Estimate(ABC):
     Args:
         simulations: Number of simulations of the method, without the plain draws.
         points: Failing points of the method in standard normal space, shape (n, d).
-        noise: Index of the in-loop noise of each point, shape (n,).
+        noise_index: Index of the in-loop noise of each point, shape (n,).
         weights: Weight of each point, proportional to the probability that it stands for, shape (n,).
         plain: The plain draws.
     """
 
     simulations: int
     points: np.ndarray = field(repr=False)
-    noise: np.ndarray = field(repr=False)
+    noise_index: np.ndarray = field(repr=False)
     weights: np.ndarray = field(repr=False)
     plain: PlainDraws
 

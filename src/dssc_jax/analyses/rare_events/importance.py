@@ -88,11 +88,11 @@ class WeightedEstimate(Estimate):
     """The estimate of importance sampling: the weights of the failing points add up to the failure probability.
 
     Args:
-        largest: The largest weight that a failing point could be expected to have; its interval allows for it.
+        weight_bound: Upper bound assumed for the weight of any failing point; the confidence interval uses it.
         design_points: The design points around which the points lie.
     """
 
-    largest: float
+    weight_bound: float
     design_points: list[DesignPoint]
 
     @property
@@ -101,8 +101,8 @@ class WeightedEstimate(Estimate):
         return float(self.weights.sum())
 
     def mean_interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """The interval of the sum of weights (:func:`dssc_jax.statistics.weighted.weighted_interval`)."""
-        return weighted_interval(self.weights, draws=1, largest=self.largest, confidence=confidence)
+        """Compute the interval of the sum of weights (:func:`dssc_jax.statistics.weighted.weighted_interval`)."""
+        return weighted_interval(self.weights, draws=1, largest=self.weight_bound, confidence=confidence)
 
     @property
     def variation(self) -> float:
@@ -259,8 +259,8 @@ class DesignSearch:
         Returns:
             The slacks and the indices of the noise, shape (n,) each.
         """
-        noise = self.counter.fresh(len(points))
-        return self.counter(points, noise), noise
+        noise_index = self.counter.unused_noise(len(points))
+        return self.counter(points, noise_index), noise_index
 
     def improve(self, variation: float) -> None:
         """Simulate points of the wide law, and then in rounds points near the design points, and learn from them.
@@ -316,10 +316,10 @@ def importance_sampling(
     return WeightedEstimate(
         simulations=counter.simulations - settings.plain,
         points=failures.points,
-        noise=failures.noise,
+        noise_index=failures.noise_index,
         weights=failures.weights,
         plain=plain.draws,
-        largest=failures.largest,
+        weight_bound=failures.weight_bound,
         design_points=[with_curvature(slacks_and_slopes, design_point) for design_point in search.design_points],
     )
 
@@ -329,15 +329,15 @@ class WeightedFailures(NamedTuple):
 
     Args:
         points: Coordinates in standard normal space, shape (n, d).
-        noise: Index of the in-loop noise of each point, shape (n,).
+        noise_index: Index of the in-loop noise of each point, shape (n,).
         weights: Probability that each point stands for, shape (n,).
-        largest: The largest weight that a failing point could be expected to have.
+        weight_bound: Upper bound assumed for the weight of any failing point.
     """
 
     points: np.ndarray
-    noise: np.ndarray
+    noise_index: np.ndarray
     weights: np.ndarray
-    largest: float
+    weight_bound: float
 
 
 def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> WeightedFailures:
@@ -353,23 +353,25 @@ def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Weight
     """
     count = 0  # planned size of all batches so far
     batch_size = 0  # the first batch plans its own
-    failures = WeightedFailures(np.empty((0, search.points.shape[1])), np.empty(0, int), np.empty(0), largest=0.0)
+    no_points = np.empty((0, search.points.shape[1]))
+    failures = WeightedFailures(no_points, noise_index=np.empty(0, int), weights=np.empty(0), weight_bound=0.0)
     while True:
         candidates = search.draw_candidates(max(CANDIDATES, 2 * batch_size))
         batch_size = batch_size or min(candidates.sample_size(settings.variation), MOST_AT_FIRST, settings.most)
         chances = candidates.efficient_chances(batch_size)
         indices = systematic_sample(chances, search.rng)
-        slacks, noise = search.simulate(candidates.points[indices])
+        slacks, noise_index = search.simulate(candidates.points[indices])
         has_failed = slacks < 0.0
         failed = indices[has_failed]
         share = batch_size / (count + batch_size)  # of this batch in the estimate
         weights = share * candidates.masses / chances
         likely_weight = largest_likely_weight(weights, chances * candidates.failure_probabilities)
+        largest_failed_weight = float(weights[failed].max(initial=0.0))
         failures = WeightedFailures(
             points=np.concatenate([failures.points, candidates.points[failed]]),
-            noise=np.concatenate([failures.noise, noise[has_failed]]),
+            noise_index=np.concatenate([failures.noise_index, noise_index[has_failed]]),
             weights=np.concatenate([(1.0 - share) * failures.weights, weights[failed]]),
-            largest=max((1.0 - share) * failures.largest, likely_weight, float(weights[failed].max(initial=0.0))),
+            weight_bound=max((1.0 - share) * failures.weight_bound, likely_weight, largest_failed_weight),
         )
         count += batch_size
         if variation_of_sum(failures.weights) <= settings.variation or 2 * count > settings.most:

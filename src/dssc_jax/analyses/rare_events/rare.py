@@ -128,7 +128,7 @@ class RareEvent(Analysis):
 
     @classmethod
     def of(cls, study: Study, settings: Method, estimate: Estimate, noisy: bool, refusal: str = "") -> Self:
-        """The analysis of an estimate, with its failures in a dataset.
+        """Make the analysis of an estimate, with its failures in a dataset.
 
         Args:
             study: The study without a sweep.
@@ -140,7 +140,9 @@ class RareEvent(Analysis):
         plain = estimate.plain
         points = np.concatenate([estimate.points, plain.points])
         is_plain = np.arange(len(points)) >= len(estimate.points)
-        noise = np.concatenate([estimate.noise, np.full(plain.failures, -1)])  # the noise of plain draws is not kept
+        noise = np.concatenate(
+            [estimate.noise_index, np.full(plain.failures, -1)]
+        )  # the noise of plain draws is not kept
         weights = np.concatenate([estimate.weights, np.ones(plain.failures)])
         noise_meaning = "index of the in-loop noise; -1: of a plain draw"
         columns = {
@@ -154,7 +156,7 @@ class RareEvent(Analysis):
             columns["estimate"] = ("repeat", estimate.estimates, unit_and_meaning("1", "failure probability"))
             columns["levels"] = ("repeat", estimate.levels, unit_and_meaning("1", "levels passed"))
         if isinstance(estimate, WeightedEstimate):
-            largest = estimate.largest
+            largest = estimate.weight_bound
             columns |= design_point_columns(estimate.design_points)
         for name, values in values_at(study, inside_cube(special.ndtr(points))).items():
             quantity = study.quantities[name]
@@ -184,7 +186,7 @@ class RareEvent(Analysis):
             return SplittingEstimate(
                 simulations=self.simulations,
                 points=points[~is_plain],
-                noise=noise,
+                noise_index=noise,
                 weights=weights,
                 plain=plain,
                 estimates=data["estimate"].values,
@@ -193,10 +195,10 @@ class RareEvent(Analysis):
         return WeightedEstimate(
             simulations=self.simulations,
             points=points[~is_plain],
-            noise=noise,
+            noise_index=noise,
             weights=weights,
             plain=plain,
-            largest=self.largest,
+            weight_bound=self.largest,
             design_points=read_design_points(data),
         )
 
@@ -262,7 +264,9 @@ class RareEvent(Analysis):
             method="splitting" if is_splitting else "importance sampling",
             refusal=self.refusal or None,
             by_method=MethodProbability(estimate.mean, estimate.mean_interval()),
-            plain=PlainFailures(plain.draws, plain.failures, plain.interval(), estimate.contradicted),
+            plain=PlainFailures(
+                draws=plain.draws, failures=plain.failures, interval=plain.interval(), contradicts=estimate.contradicted
+            ),
             variation=estimate.variation,
             simulations=estimate.simulations,
             plain_draws=estimate.equivalent_draws,
@@ -292,7 +296,7 @@ def design_point_columns(design_points: list[DesignPoint]) -> dict[str, tuple[ob
 
 
 def read_design_points(dataset: xr.Dataset) -> list[DesignPoint]:
-    """The design points that :func:`design_point_columns` stored in a dataset."""
+    """Read the design points that :func:`design_point_columns` stored in a dataset."""
     design_points = []
     for index in range(dataset.sizes["design_point"]):
         row = dataset.isel(design_point=index)

@@ -25,10 +25,10 @@ from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import CONFIDENCE, lognormal_interval
 
-FIRST_STEP = 0.7  # size of the first moves in standard normal space; it adapts to the share of accepted moves
-SMALLEST_STEP = 0.02
-ACCEPTED = 0.35  # share of accepted moves at which the size of a move stays
-REFRESHED = 0.5  # share of moves that redraw the in-loop noise
+FIRST_MOVE_SIZE = 0.7  # size of the first moves in standard normal space; it adapts to the share of accepted moves
+SMALLEST_MOVE_SIZE = 0.02
+TARGET_ACCEPTANCE = 0.35  # share of accepted moves at which the size of a move stays
+NOISE_REDRAW_SHARE = 0.5  # share of moves that redraw the in-loop noise
 MOST_LEVELS = 100_000
 
 
@@ -79,9 +79,9 @@ class Repeat:
     Args:
         rng: Random generator.
         points: Particles in standard normal space, shape (N, d).
-        noise: Index of the in-loop noise of each particle, shape (N,).
+        noise_index: Index of the in-loop noise of each particle, shape (N,).
         slacks: Slack of each particle, shape (N,).
-        step: Size of a move.
+        move_size: Size of a move in standard normal space.
         estimate: Product of the shares of particles that passed each level.
         levels: Number of levels passed.
         dead: Whether the repeat's answer is 0: no particle passed a level, or the estimate became too small.
@@ -89,9 +89,9 @@ class Repeat:
 
     rng: np.random.Generator
     points: np.ndarray
-    noise: np.ndarray
+    noise_index: np.ndarray
     slacks: np.ndarray
-    step: float = FIRST_STEP
+    move_size: float = FIRST_MOVE_SIZE
     estimate: float = 1.0
     levels: int = 0
     dead: bool = False
@@ -103,22 +103,22 @@ class Repeat:
 
     @property
     def answer(self) -> float:
-        """The failure probability by this repeat."""
+        """Estimate of the failure probability by this repeat."""
         return 0.0 if self.dead else self.estimate * float(self.failing.mean())
 
 
 class Clones(NamedTuple):
-    """The clones that replaced particles of a repeat at a level, and that now have to move apart.
+    """The clones that replaced particles of a repeat at a level; moves make them differ from their parents.
 
     Args:
         repeat: The repeat, whose population contains the clones.
         level: The slack below which the clones have to stay.
-        places: Indices of the clones in the population, shape (clones,).
+        indices: Indices of the clones in the population, shape (clones,).
     """
 
     repeat: Repeat
     level: float
-    places: np.ndarray
+    indices: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -139,9 +139,9 @@ class SplittingEstimate(Estimate):
         return float(self.estimates.mean())
 
     def mean_interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """The interval of the mean over the repeats; [0, 1] if fewer than two repeats reach a failure.
+        """Confidence interval of the mean estimate over the repeats; [0, 1] if fewer than two reach a failure.
 
-        An estimate is a product of shares, so its logarithm is nearly normal: :func:`lognormal_interval`.
+        The estimates are products of shares, hence nearly lognormal; see :func:`lognormal_interval`.
         """
         low, high = lognormal_interval(self.estimates, confidence)
         return min(low, 1.0), min(high, 1.0)
@@ -185,24 +185,24 @@ def split(
     counter = SlackCounter(slack)
     repeats = first_populations(dimension, seeds, splitting, counter)
     for _ in range(MOST_LEVELS):
-        moving = []
+        clones_of_repeats = []
         for repeat in repeats:
             repeat.dead = repeat.dead or repeat.estimate < splitting.smallest
             if not is_finished(repeat, splitting):
                 clones = raise_level(repeat, splitting)
                 if clones is not None:
-                    moving.append(clones)
-        if not moving:
+                    clones_of_repeats.append(clones)
+        if not clones_of_repeats:
             break
         for _ in range(splitting.moves):
-            move_clones(moving, counter)
+            move_clones(clones_of_repeats, counter)
     simulations = counter.simulations
     plain = simulate_plain_draws(counter, generator(*seeds, stream("plain")), splitting.plain, dimension)
     failing = np.concatenate([repeat.points[repeat.failing] for repeat in repeats])
     return SplittingEstimate(
         simulations=simulations,
         points=failing,
-        noise=np.concatenate([repeat.noise[repeat.failing] for repeat in repeats]),
+        noise_index=np.concatenate([repeat.noise_index[repeat.failing] for repeat in repeats]),
         weights=np.ones(len(failing)),
         plain=plain.draws,
         estimates=np.array([repeat.answer for repeat in repeats]),
@@ -213,7 +213,7 @@ def split(
 def first_populations(
     dimension: int, seeds: Sequence[int], splitting: Splitting, counter: SlackCounter
 ) -> list[Repeat]:
-    """The repeats before their first levels: the particles of each are plain draws.
+    """Start the repeats: before its first level, the particles of each are plain draws.
 
     Args:
         dimension: Number d of coordinates of standard normal space.
@@ -223,9 +223,9 @@ def first_populations(
     """
     generators = [generator(*seeds, index) for index in range(splitting.repeats)]
     points = [rng.standard_normal((splitting.particles, dimension)) for rng in generators]
-    noise = [counter.fresh(splitting.particles) for _ in generators]
-    slacks = np.split(counter(np.concatenate(points), np.concatenate(noise)), splitting.repeats)
-    return [Repeat(*parts) for parts in zip(generators, points, noise, slacks, strict=True)]
+    noise_index = [counter.unused_noise(splitting.particles) for _ in generators]
+    slacks = np.split(counter(np.concatenate(points), np.concatenate(noise_index)), splitting.repeats)
+    return [Repeat(*parts) for parts in zip(generators, points, noise_index, slacks, strict=True)]
 
 
 def is_finished(repeat: Repeat, splitting: Splitting) -> bool:
@@ -234,7 +234,7 @@ def is_finished(repeat: Repeat, splitting: Splitting) -> bool:
 
 
 def next_level(repeat: Repeat, splitting: Splitting) -> float:
-    """The slack that particles have to fall below next: the k-th largest of the population, k being killed."""
+    """Return the slack below which particles have to fall next: the k-th largest, where k particles die."""
     return float(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed])
 
 
@@ -256,52 +256,53 @@ def raise_level(repeat: Repeat, splitting: Splitting) -> Clones | None:
     parents = repeat.rng.choice(survivors, len(clones))
     repeat.estimate *= len(survivors) / len(repeat.slacks)
     repeat.levels += 1
-    for values in (repeat.points, repeat.noise, repeat.slacks):
+    for values in (repeat.points, repeat.noise_index, repeat.slacks):
         values[clones] = values[parents]
     return Clones(repeat, level, clones)
 
 
-def move_clones(moving: list[Clones], counter: SlackCounter) -> None:
+def move_clones(clones_of_repeats: list[Clones], counter: SlackCounter) -> None:
     """Make one step of every clone's Markov chain, and accept it if the slack stays below the level.
 
     The proposal from the point z is sqrt(1 - s^2) z + s xi, with the size s of the move and a standard normal xi. It
     leaves the standard normal law unchanged.
 
     Args:
-        moving: The clones of all repeats; updated.
+        clones_of_repeats: The clones of each repeat; updated.
         counter: Computes slacks.
     """
-    proposals = [propose_moves(clones, counter) for clones in moving]
+    proposals = [propose_moves(clones, counter) for clones in clones_of_repeats]
     all_points = np.concatenate([points for points, _ in proposals])
     all_noise = np.concatenate([noise for _, noise in proposals])
     ends = np.cumsum([len(points) for points, _ in proposals])[:-1]
     slacks = np.split(counter(all_points, all_noise), ends)
-    for clones, (points, noise), proposal_slacks in zip(moving, proposals, slacks, strict=True):
+    for clones, (points, noise), proposal_slacks in zip(clones_of_repeats, proposals, slacks, strict=True):
         repeat = clones.repeat
         is_accepted = proposal_slacks < clones.level
-        moved = clones.places[is_accepted]
+        moved = clones.indices[is_accepted]
         repeat.points[moved] = points[is_accepted]
-        repeat.noise[moved] = noise[is_accepted]
+        repeat.noise_index[moved] = noise[is_accepted]
         repeat.slacks[moved] = proposal_slacks[is_accepted]
-        repeat.step = adapted_step(clones, float(is_accepted.mean()))
+        repeat.move_size = adapted_move_size(clones, float(is_accepted.mean()))
 
 
 def propose_moves(clones: Clones, counter: SlackCounter) -> tuple[np.ndarray, np.ndarray]:
-    """Proposed points of clones, shape (clones, d), and indices of their in-loop noise, some of them new, (clones,)."""
-    repeat, _, places = clones
-    innovations = repeat.rng.standard_normal((len(places), repeat.points.shape[1]))
-    points = np.sqrt(1.0 - repeat.step**2) * repeat.points[places] + repeat.step * innovations
-    has_new_noise = repeat.rng.random(len(places)) < REFRESHED
-    noise = np.where(has_new_noise, counter.fresh(len(places)), repeat.noise[places])
+    """Propose points for clones, shape (clones, d), and indices of their in-loop noise, some of them new, (clones,)."""
+    repeat = clones.repeat
+    indices = clones.indices
+    innovations = repeat.rng.standard_normal((len(indices), repeat.points.shape[1]))
+    points = np.sqrt(1.0 - repeat.move_size**2) * repeat.points[indices] + repeat.move_size * innovations
+    has_new_noise = repeat.rng.random(len(indices)) < NOISE_REDRAW_SHARE
+    noise = np.where(has_new_noise, counter.unused_noise(len(indices)), repeat.noise_index[indices])
     return points, noise
 
 
-def adapted_step(clones: Clones, acceptance: float) -> float:
-    """Size of the repeat's next move: larger if more than :data:`ACCEPTED` of the moves were accepted.
+def adapted_move_size(clones: Clones, acceptance: float) -> float:
+    """Adapt the size of the repeat's moves: larger if more than :data:`TARGET_ACCEPTANCE` of the moves were accepted.
 
     It adapts slowly if few particles move, since a size that depends on the last move of the same particle would change
     the limit distribution of its chain.
     """
-    share = len(clones.places) / len(clones.repeat.slacks)
-    step = clones.repeat.step * np.exp(share * (acceptance - ACCEPTED))
-    return float(np.clip(step, SMALLEST_STEP, 1.0))
+    share = len(clones.indices) / len(clones.repeat.slacks)
+    move_size = clones.repeat.move_size * np.exp(share * (acceptance - TARGET_ACCEPTANCE))
+    return float(np.clip(move_size, SMALLEST_MOVE_SIZE, 1.0))

@@ -71,7 +71,7 @@ class RegionAxis(NamedTuple):
     log: bool = False
 
     def values(self, count: int) -> np.ndarray:
-        """The values of the lattice from the lower to the upper end, shape (count,)."""
+        """Return the values of the lattice from the lower to the upper end, shape (count,)."""
         if self.log:
             return np.geomspace(self.low, self.high, count)
         return np.linspace(self.low, self.high, count)
@@ -81,25 +81,28 @@ class Thresholds(NamedTuple):
     """Numbers of failed draws that decide a point of the lattice.
 
     Args:
-        meets: Most failures with which a point meets; -1: no number is small enough.
-        fails: Fewest failures with which a point fails; the number of draws + 1: no number is large enough.
+        most_failures_to_meet: Most failures with which a point meets; -1: no number is small enough.
+        least_failures_to_refute: Fewest failures with which a point fails; the number of draws + 1: none is enough.
     """
 
-    meets: int
-    fails: int
+    most_failures_to_meet: int
+    least_failures_to_refute: int
 
 
 def thresholds(draws: int, points: int) -> Thresholds:
-    """The numbers of failed draws that decide a point, with confidence for all points of the lattice together.
+    """Compute the numbers of failed draws that decide a point, with confidence for all points of the lattice together.
 
     Args:
         draws: Number of draws at each point.
         points: Number of points of the lattice.
     """
     intervals = clopper_pearson(np.arange(draws + 1), draws, 1.0 - (1.0 - CONFIDENCE) / points)
-    meets = np.flatnonzero(intervals[:, 1] <= 1.0 - PASSING)
-    fails = np.flatnonzero(intervals[:, 0] > 1.0 - PASSING)
-    return Thresholds(meets=int(meets.max(initial=-1)), fails=int(fails.min(initial=draws + 1)))
+    meeting_failures = np.flatnonzero(intervals[:, 1] <= 1.0 - PASSING)
+    refuting_failures = np.flatnonzero(intervals[:, 0] > 1.0 - PASSING)
+    return Thresholds(
+        most_failures_to_meet=int(meeting_failures.max(initial=-1)),
+        least_failures_to_refute=int(refuting_failures.min(initial=draws + 1)),
+    )
 
 
 class Lattice:
@@ -124,15 +127,17 @@ class Lattice:
         self.progress = progress
         self.axes = [axis.values(count) for axis in over]
         self.failures = np.full((count, count), -1)
-        self.meets, self.fails = thresholds(study.config.draws, count**2)
+        self.thresholds = thresholds(study.config.draws, count**2)
         extents = {axis.name: (axis.low, axis.high) for axis in over}
         self.evaluator = Evaluator(study, extents, BLOCK)
         self.drawn = self.evaluator.values_of_draws(slice(0, study.config.draws))
 
     def verdicts(self) -> np.ndarray:
-        """The :class:`PairVerdict` at each point, shape (count, count)."""
-        verdicts = np.where(self.failures <= self.meets, PairVerdict.MEETS, PairVerdict.UNDECIDED)
-        verdicts = np.where(self.failures >= self.fails, PairVerdict.FAILS, verdicts)
+        """Return the :class:`PairVerdict` at each point, shape (count, count)."""
+        verdicts = np.where(
+            self.failures <= self.thresholds.most_failures_to_meet, PairVerdict.MEETS, PairVerdict.UNDECIDED
+        )
+        verdicts = np.where(self.failures >= self.thresholds.least_failures_to_refute, PairVerdict.FAILS, verdicts)
         return np.where(self.failures < 0, PairVerdict.NOT_SIMULATED, verdicts)
 
     @property
@@ -205,7 +210,7 @@ class Lattice:
             self.simulate(points)
 
     def boundary_sides(self, stride: int) -> list[CellSide]:
-        """The sides of cells that the boundary crosses: both ends are simulated and have different verdicts.
+        """Find the sides of cells that the boundary crosses: both ends are simulated and have different verdicts.
 
         Args:
             stride: Length of a cell's side, in points of the finest lattice.
@@ -233,7 +238,7 @@ class Lattice:
         return corners
 
     def dataset(self, certified: np.ndarray) -> xr.Dataset:
-        """The dataset of :class:`~dssc_jax.analyses.region.safe_region.SafeRegion`.
+        """Make the dataset of :class:`~dssc_jax.analyses.region.safe_region.SafeRegion`.
 
         Args:
             certified: Whether Theorem 1 certifies each point, shape (count, count).

@@ -96,7 +96,7 @@ class SafeRegion(Analysis):
     seconds: float
 
     def points(self, verdict: PairVerdict) -> int:
-        """Number of lattice points with a verdict."""
+        """Count the lattice points with a verdict."""
         return int(np.count_nonzero(self.dataset["verdict"].values == verdict))
 
     def safe_ranges(self) -> list[SafeRange]:
@@ -137,18 +137,18 @@ class SafeRegion(Analysis):
     def answer(self) -> RegionAnswer:
         """The number of points with each verdict, and the safe ranges, as ``summary.json`` has them."""
         draws = self.study.config.draws
-        decisive = thresholds(draws, self.dataset["verdict"].size)
-        first, second = self.table
+        decisive_failures = thresholds(draws, self.dataset["verdict"].size)
+        first_axis, second_axis = self.table
         return RegionAnswer(
             names=self.names,
-            units=(self.dataset[first].attrs["units"], self.dataset[second].attrs["units"]),
+            units=(self.dataset[first_axis].attrs["units"], self.dataset[second_axis].attrs["units"]),
             requirements=criterion_of(self.study),
             draws=draws,
             passing=PASSING,
             confidence=CONFIDENCE,
             interval_method="Clopper-Pearson, simultaneous over all points of the lattice (Bonferroni)",
-            failures_allowed=decisive.meets,
-            failures_refuting=decisive.fails,
+            failures_allowed=decisive_failures.most_failures_to_meet,
+            failures_refuting=decisive_failures.least_failures_to_refute,
             lattice=self.dataset["verdict"].shape,
             simulated_points=self.simulated_points,
             simulations=self.simulations,
@@ -163,7 +163,7 @@ class SafeRegion(Analysis):
 
 
 def meeting_ends(verdicts: np.ndarray) -> list[tuple[int, int]]:
-    """First and last index of each run of simulated pairs that meet, along a line of the lattice.
+    """Find the first and last index of each run of simulated pairs that meet, along a line of the lattice.
 
     Args:
         verdicts: A :class:`PairVerdict` for each point of the line, shape (count,).
@@ -233,7 +233,7 @@ def region(
 
 
 def lattice_size(study: Study, over: tuple[RegionAxis, RegionAxis], halvings: int) -> int:
-    """Number of values of each number on the finest lattice, if all settings are admissible.
+    """Count the values of each number on the finest lattice, if all settings are admissible.
 
     Args:
         study: The study, for its number of draws.
@@ -258,7 +258,7 @@ def lattice_size(study: Study, over: tuple[RegionAxis, RegionAxis], halvings: in
 
     def can_meet(number: int) -> bool:
         """Whether a point without a failure among so many draws meets."""
-        return thresholds(number, count**2).meets >= 0
+        return thresholds(number, count**2).most_failures_to_meet >= 0
 
     if not can_meet(draws):
         least_draws = first_integer(can_meet, draws)

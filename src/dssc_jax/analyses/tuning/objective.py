@@ -140,7 +140,7 @@ class Goal:
         count = len(results["outcome"]) - counterexample_count
         ended = int(np.count_nonzero(self.lacks_value(results)))
         if ended:
-            return Merit(float("inf"), {}, {}, {}, ended)
+            return Merit(objective=float("inf"), gradient={}, excess={}, slopes={}, ended=ended)
         draw_results = {name: array[:count] for name, array in results.items()}
         costs = self.cost(draw_results)
         weights = draw_weights(costs, self.aggregate, self.level)
@@ -159,7 +159,7 @@ class Goal:
                 counterexamples = {name: array[count:] for name, array in results.items()}
                 excess[COUNTEREXAMPLES], slopes[COUNTEREXAMPLES] = self._mean_excess(counterexamples, numbers)
         gradient = {number: float(weights @ self._slope(draw_results, number)) for number in numbers}
-        return Merit(float(weights @ costs), gradient, excess, slopes, ended=0)
+        return Merit(objective=float(weights @ costs), gradient=gradient, excess=excess, slopes=slopes, ended=0)
 
     def _slope(self, results: Arrays, number: str) -> np.ndarray:
         """Derivative of each draw's cost by one of the loop's numbers, shape (n,)."""
@@ -212,7 +212,7 @@ def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tupl
     for name, bound in goal.limits.items():
         excess = float(np.mean(results[name][~ended])) - bound if not ended.all() else math.nan
         if excess > 0.0:
-            rows.append(MissedBound(f"mean {name} <= {bound:.5g}", None, excess, units[name]))
+            rows.append(MissedBound(text=f"mean {name} <= {bound:.5g}", draws=None, excess=excess, unit=units[name]))
     return tuple(rows)
 
 
@@ -229,7 +229,7 @@ def missed_requirement(requirement: Requirement, slacks: np.ndarray) -> MissedBo
         worst_value = requirement.bound + distance
     shown_value, unit = requirement.shown(worst_value)
     shown_bound, _ = requirement.shown(requirement.bound)
-    return MissedBound(requirement.short, len(slacks), abs(shown_value - shown_bound), unit)
+    return MissedBound(text=requirement.short_text, draws=len(slacks), excess=abs(shown_value - shown_bound), unit=unit)
 
 
 RESAMPLES = 2000  # of the bootstrap
@@ -327,7 +327,7 @@ def compare_results(plan: Plan, goal: Goal, start_results: Arrays, results: Arra
     for requirement in goal.requirements:
         start_violations = int(np.count_nonzero(violated(start_results[requirement.name])))
         violations = int(np.count_nonzero(violated(results[requirement.name])))
-        by_requirement[requirement.short] = (start_violations, violations)
+        by_requirement[requirement.short_text] = (start_violations, violations)
     start_count = int(np.count_nonzero(start_failed))
     count = int(np.count_nonzero(failed))
     return Verdict(

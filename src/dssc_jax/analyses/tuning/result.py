@@ -115,11 +115,11 @@ class GradientAnswer:
 
 @dataclass(frozen=True)
 class TuningDraws:
-    """How many draws the search used, and their seed."""
+    """How many draws the search used, and the seed they come from."""
 
     train: Annotated[int, Quantity("1", "training draws")]
     validation: Annotated[int, Quantity("1", "validation draws")]
-    seed: Annotated[int, Quantity("1", "their seed")]
+    seed: Annotated[int, Quantity("1", "seed of both")]
 
 
 @dataclass(frozen=True)

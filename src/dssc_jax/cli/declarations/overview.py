@@ -17,11 +17,11 @@ class Studies:
 
 @dataclass(frozen=True, kw_only=True)
 class Info:
-    """Show versions, devices and every kind of model; or one kind's fields.
+    """Show the versions, the devices and the available models; with NAME, describe one of them.
 
-    Each kind with its fields and options, every law and metric, and the compiler of lanes. Of one kind: unit, meaning,
-    admissible values and default of each field. Of a field, or a table within a kind: the same, with the kinds that
-    have it. Of a law: its arguments. Of a metric: meaning and unit.
+    Without NAME, it lists each kind of model with its fields and options, every law and metric, and the compiler of
+    lanes. With NAME, it describes a model by unit, meaning, admissible values and default of each field; a field, or a
+    table within a model, also by the models that have it; a law by its arguments; a metric by its meaning and unit.
     """
 
     kind: Annotated[

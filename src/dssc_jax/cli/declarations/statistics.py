@@ -75,7 +75,8 @@ class Laws(OutputOptions, StatedOptions, DrawsOptions):
     A result is analysed as it is stored; a study is simulated first, and its [sweep] is ignored.
 
     Where the arguments of laws are ranges, { normal = [[0.9, 1.1], 0.1] }, the answer is the interval of the failure
-    probability over all laws within them. New draws of the best and the worst law, --fresh of each, check it.
+    probability over all laws within them. As a check, --fresh N simulates N new draws under both the best and the
+    worst law.
     """
 
     study: Annotated[str, typer.Argument(metavar="STUDY|RESULT", help="A study, or the folder of a run.")]

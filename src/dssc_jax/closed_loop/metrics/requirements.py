@@ -56,10 +56,10 @@ class Requirement:
         return f"{VIOLATED_AT}{self.label}"
 
     @property
-    def is_watched(self) -> bool:
-        """Whether a violation before the end is final, so that each sample is watched for the first one.
+    def violation_is_final(self) -> bool:
+        """Whether a violated bound stays violated, so that each sample is checked for the first violation.
 
-        It is for a metric that can only rise and has an upper bound, or can only fall and has a lower bound.
+        It does if the metric only rises and has a maximum, or only falls and has a minimum.
         """
         towards_bound = Course.RISES if self.maximum is not None else Course.FALLS
         return self.measure.metric.course == towards_bound
@@ -89,7 +89,7 @@ class Requirement:
         return f"{self.measure.label}{self.measure.window_text} {sign} {bound_text}"
 
     @property
-    def short(self) -> str:
+    def short_text(self) -> str:
         """The requirement in words, or only the name of a formula, for tables."""
         return self.label if self.formula else self.text
 
@@ -117,7 +117,7 @@ class Requirement:
 def with_typical_slacks(
     requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]
 ) -> tuple[Requirement, ...]:
-    """The requirements with their typical slacks, each the median of |slack| over some draws.
+    """Set the typical slack of each requirement, the median of |slack| over some draws.
 
     Args:
         requirements: The requirements.
@@ -133,7 +133,7 @@ def with_typical_slacks(
 
 
 def counted_places(requirements: Sequence[Requirement], label: str) -> list[int]:
-    """Indices of the requirements that count as failures: those with a label, or all if the label is empty."""
+    """Find the indices of the requirements that count as failures: those with a label, or all if the label is empty."""
     return [index for index, requirement in enumerate(requirements) if label in ("", requirement.label)]
 
 
@@ -156,24 +156,24 @@ def watch(
     steps: int,
     sample_time: float,
 ) -> tuple[Scalar, ...]:
-    """Note, after a sample, which watched requirements are violated for the first time.
+    """Note, after a sample, which requirements of final violation are violated for the first time.
 
     Args:
         requirements: The requirements.
         measures: All measures.
         accumulators: Their accumulators after the sample.
-        violations: The result after the previous sample; 0 for each watched requirement at first.
+        violations: The result after the previous sample; 0 for each of these requirements at first.
         samples: Number of samples so far.
         steps: Number of samples of the run.
         sample_time: T_s [s].
 
     Returns:
-        For each watched requirement, the number of samples after which it was first violated; 0: not yet.
+        For each of these requirements, the number of samples after which it was first violated; 0: not yet.
     """
     accumulator_of = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
     updated_violations = []
-    watched_requirements = [requirement for requirement in requirements if requirement.is_watched]
-    for requirement, violated_after in zip(watched_requirements, violations, strict=True):
+    final_requirements = [requirement for requirement in requirements if requirement.violation_is_final]
+    for requirement, violated_after in zip(final_requirements, violations, strict=True):
         measure = requirement.measure
         span = span_of(measure.window, steps, sample_time)
         value = measure.metric.value(accumulator_of[measure.name], measure.window, span)
@@ -190,9 +190,9 @@ def certain_violations(
     steps: Scalar,
     sample_time: float,
 ) -> dict[str, Scalar]:
-    """Number of samples after which the violation of each requirement was certain, by label, if it is violated.
+    """Count the samples after which the violation of each requirement was certain, by label, if it is violated.
 
-    A watched requirement is lost at its first violation. A formula tells the sample itself. The violation of any other
+    A violation that is final is certain at once. A formula tells the sample itself. The violation of any other
     requirement is certain at the end of its window.
 
     Args:
@@ -204,12 +204,12 @@ def certain_violations(
         sample_time: T_s [s].
     """
     accumulator_of = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
-    watched_violations = iter(violations)
+    final_violations = iter(violations)
     samples = {}
     for requirement in requirements:
         measure = requirement.measure
-        if requirement.is_watched:
-            violated_after = next(watched_violations)
+        if requirement.violation_is_final:
+            violated_after = next(final_violations)
             samples[requirement.label] = jnp.where(violated_after > 0.0, violated_after, steps)
         elif measure.metric.certain_after is not None:
             samples[requirement.label] = measure.metric.certain_after(accumulator_of[measure.name])
@@ -242,7 +242,7 @@ def judge(
 
 
 def binding_requirement(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Index of the requirement that each draw meets by the least or misses by the most, relative to its scale.
+    """Find the requirement that each draw meets by the least or misses by the most, relative to its scale.
 
     A slack of NaN counts as the smallest of all.
 
@@ -257,7 +257,7 @@ def binding_requirement(requirements: Sequence[Requirement], results: Mapping[st
 def first_violation(
     requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The requirement that each draw violates first, and when; violations by an early end do not count.
+    """Find the requirement that each draw violates first, and when; violations by an early end do not count.
 
     Args:
         requirements: The requirements; of two that are violated at the same sample, the first in the list counts.
@@ -278,7 +278,7 @@ def first_violation(
 
 
 def worst_slack(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Smallest slack of each draw over all requirements, relative to their scales: negative if the draw fails.
+    """Return the smallest slack of each draw relative to the requirements' scales: negative if the draw fails.
 
     A draw that ended early, or that has a NaN slack, has -inf. Without requirements all other draws have +inf.
 

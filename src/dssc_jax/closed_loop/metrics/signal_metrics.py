@@ -176,7 +176,7 @@ def channel_signals(
 
     def add(name: str, quantity: Quantity, value: SignalReader) -> None:
         """Add a signal, with the channel's units and meanings in place of those of y and u."""
-        signals[name] = SampledSignal(units.of(quantity.unit), units.named(quantity.meaning), value)
+        signals[name] = SampledSignal(units.of(quantity.unit), units.describe(quantity.meaning), value)
 
     add("y", Quantity("y", "output y"), output_reader(index))
     add("y_dot", Quantity("y/s", "derivative y' of the output"), output_rate_reader(index))

@@ -364,7 +364,7 @@ class Measure:
     @property
     def meaning(self) -> str:
         """Meaning of the value in the words of the channel; a custom metric keeps its own words."""
-        return self.units.named(self.metric.meaning) if self.custom is None else self.metric.meaning
+        return self.units.describe(self.metric.meaning) if self.custom is None else self.metric.meaning
 
     def of(self, instant: Instant) -> Sample | Instant:
         """The signals with which the metric is updated: of its channel, or of the whole loop for a vehicle's metric."""

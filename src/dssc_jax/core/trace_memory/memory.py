@@ -4,22 +4,22 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from dssc_jax.core.trace_memory.facts import decode, encode
-from dssc_jax.core.trace_memory.names import name_of
+from dssc_jax.core.trace_memory.names import cache_key
 from dssc_jax.lanes.program_cache import cache_directory, cached
 
 T = TypeVar("T")
 
 
-def remembered(label: str, compute: Callable[[], T], *subjects: Any) -> T:
+def cached_by_subjects(label: str, compute: Callable[[], T], *subjects: Any) -> T:
     """Read a result from the user's cache; compute and store it if it is not there.
 
     Args:
         label: Label of the result, such as ``signature``.
         compute: Computes the result, a tree that :func:`dssc_jax.core.trace_memory.facts.encode` can write.
-        subjects: Everything on which the result depends beside this package's code; if :func:`name_of` cannot describe
-            it, the result is computed and not stored.
+        subjects: Everything on which the result depends besides this package's code; if :func:`cache_key` cannot
+            describe it, the result is computed and not stored.
     """
-    name = None if cache_directory() is None else name_of(label, *subjects)
-    if name is None:
+    key = None if cache_directory() is None else cache_key(label, *subjects)
+    if key is None:
         return compute()
-    return decode(cached(f"{label}-{name}", lambda: encode(compute())))
+    return decode(cached(f"{label}-{key}", lambda: encode(compute())))

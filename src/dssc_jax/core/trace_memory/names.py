@@ -40,8 +40,8 @@ class Undescribed(Exception):
     """A subject that a name cannot describe completely."""
 
 
-def name_of(*subjects: Any) -> str | None:
-    """The name under which a result is kept that depends on the subjects and on this package's code.
+def cache_key(*subjects: Any) -> str | None:
+    """Make the name under which a result is cached that depends on the subjects and on this package's code.
 
     Returns:
         A digest in hexadecimal; None if a subject cannot be described, or if the package's files have changed since
@@ -77,12 +77,12 @@ def sources_digest() -> str | None:
 
 
 def package_root() -> Path:
-    """The package's folder."""
+    """Find the package's folder."""
     return Path(dssc_jax.__file__).parent
 
 
 def package_sources() -> list[Path]:
-    """The package's source files; none if it is imported from an archive."""
+    """List the package's source files; none if it is imported from an archive."""
     return sorted(package_root().rglob("*.py"))
 
 
@@ -124,7 +124,7 @@ def description_parts(subject: Any, ancestors: tuple[int, ...]) -> Iterator[byte
 
 @cache
 def qualified_name(kind: type) -> bytes:
-    """The module and name of a type.
+    """Return the module and name of a type.
 
     Raises:
         Undescribed: The type belongs to no package of :data:`DESCRIBED`, or is defined in a function, which may define
@@ -136,7 +136,7 @@ def qualified_name(kind: type) -> bytes:
 
 
 def package_of(module: str) -> str:
-    """The package that a module belongs to."""
+    """Return the package that a module belongs to."""
     return module.partition(".")[0]
 
 

@@ -32,15 +32,37 @@ Examination: TypeAlias = Callable[[Arrays, np.ndarray, np.ndarray, int], np.ndar
 
 
 def vector_of(tree: object) -> jax.Array:
-    """The numbers of a tree as a vector."""
+    """Concatenate the numbers of a tree to a vector."""
     vector, _ = ravel_pytree(as_arrays(tree))
     return vector
 
 
+def value_and_slope(
+    part_map: PartMap, part: Part, params: Params, point: jax.Array, direction: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Compute the outputs of a part, or of a substitute for it, at a point, and their directional derivative.
+
+    Args:
+        part_map: The part as a function of its state and inputs.
+        part: The model.
+        params: Its parameters.
+        point: State and inputs of the part, as a vector.
+        direction: Direction of the derivative, of the same shape.
+    """
+    _, tree_from_vector = ravel_pytree(as_arrays((part_map.memory, part_map.signals)))
+
+    def outputs(state_and_inputs: jax.Array) -> jax.Array:
+        """The outputs as a vector, from state and inputs as a vector."""
+        memory, signals = tree_from_vector(state_and_inputs)
+        return vector_of(part_map.apply(part, params, memory, signals))
+
+    return jax.jvp(outputs, (point,), (direction,))
+
+
 def slopes_of(
-    place: LoopPart, part_map: PartMap, part: Part, params: Params, point: jax.Array, axis: jax.Array
+    place: LoopPart, part_map: PartMap, part: Part, params: Params, point: jax.Array, direction: jax.Array
 ) -> Slopes[jax.Array]:
-    """Outputs of a part and their derivatives along a direction, at a point near its operating point.
+    """Compute the outputs of a part and their derivatives along a direction, at a point near its operating point.
 
     A part with a kink, such as a limit, also has an inner side: a substitute model, whose derivative holds within it.
     Any other part has the same derivative on both sides.
@@ -51,24 +73,13 @@ def slopes_of(
         part: The model.
         params: Its parameters.
         point: State and inputs of the part, as a vector.
-        axis: Direction of the derivatives, of the same shape.
+        direction: Direction of the derivatives, of the same shape.
     """
-    _, tree_from_vector = ravel_pytree(as_arrays((part_map.memory, part_map.signals)))
-
-    def value_and_slope(model: Part, model_params: Params) -> tuple[jax.Array, jax.Array]:
-        """The outputs of the part, or of a substitute for it, and their derivative along the direction."""
-
-        def outputs(inputs: jax.Array) -> jax.Array:
-            """The outputs as a vector, from state and inputs as a vector."""
-            memory, signals = tree_from_vector(inputs)
-            return vector_of(part_map.apply(model, model_params, memory, signals))
-
-        return jax.jvp(outputs, (point,), (axis,))
-
-    value, slope = value_and_slope(part, params)
+    value, slope = value_and_slope(part_map, part, params, point, direction)
     inner_slope = slope
     if place.has_inner_side:
-        _, inner_slope = value_and_slope(*place.inner_side(params))
+        inner_part, inner_params = place.inner_side(params)
+        _, inner_slope = value_and_slope(part_map, inner_part, inner_params, point, direction)
     return Slopes(value, slope, inner_slope)
 
 
@@ -125,8 +136,8 @@ def push_examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
         for i, (place, part_map) in enumerate(zip(places, maps, strict=True)):
             part, part_params = part_of(loop, params, place)
             point = vectors[f"point-{i}"]
-            axis = vectors[f"axis-{i}"]
-            results += slopes_of(place, part_map, part, part_params, point, axis)
+            direction = vectors[f"direction-{i}"]
+            results += slopes_of(place, part_map, part, part_params, point, direction)
         return tuple(results)
 
     inputs_of = LaneProgram(inputs)
@@ -135,8 +146,8 @@ def push_examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
     def examine(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> np.ndarray:
         """The class of each part in each draw, shape (n, parts); draws run in batches of a limited size."""
         count = len(indices)
-        at = {"state": states, "sample": np.full((count, 1), k)}
-        results = inputs_of(values, at, indices)
+        operating_points = {"state": states, "sample": np.full((count, 1), k)}
+        results = inputs_of(values, operating_points, indices)
         memories, signals = results[::2], results[1::2]
         points = [np.concatenate(vectors, axis=1) for vectors in zip(memories, signals, strict=True)]
         memory_sizes = [memory.shape[1] for memory in memories]
@@ -149,9 +160,9 @@ def push_examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
             draws = np.arange(first, min(first + batch, count))
             lanes = np.repeat(draws, rows)
             numbers = {name: column[lanes] for name, column in values.items()}
-            vectors = {name: column[lanes] for name, column in at.items()}
+            vectors = {name: column[lanes] for name, column in operating_points.items()}
             for i, (point, pattern) in enumerate(zip(points, patterns, strict=True)):
-                vectors[f"point-{i}"], vectors[f"axis-{i}"] = pushes(point[draws], pattern)
+                vectors[f"point-{i}"], vectors[f"direction-{i}"] = pushes(point[draws], pattern)
             shape = (len(draws), len(MULTIPLES), len(patterns[0]), -1)
             arrays = [array.reshape(shape) for array in push(numbers, vectors, indices[lanes])]
             columns = []

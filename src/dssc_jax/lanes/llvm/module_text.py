@@ -56,7 +56,7 @@ class Emitter(Instructions):
         self.computed_ids: set[int] = set()  # of values that are precomputed
 
     def text(self) -> str:
-        """The text of the module."""
+        """Write the text of the module."""
         self.lines += self.opening()
         self.label = "lanes"
         self.block(self.program.body)
@@ -70,11 +70,11 @@ class Emitter(Instructions):
         return "\n".join([*head_lines, *self.lines, "}", *functions, *ATTRIBUTES, ""])
 
     def head(self) -> str:
-        """The first line of the function, whose arguments ``first`` and ``last`` are the range of lanes."""
+        """Write the first line of the function, whose arguments ``first`` and ``last`` are the range of lanes."""
         return f"define void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %first, i64 %last) #0 {{"
 
     def opening(self) -> list[str]:
-        """The lines before the first instruction of a vector of lanes."""
+        """Write the lines before the first instruction of a vector of lanes."""
         return [
             "  %some = icmp ult i64 %first, %last",
             "  br i1 %some, label %lanes, label %done",
@@ -83,7 +83,7 @@ class Emitter(Instructions):
         ]
 
     def closing(self) -> list[str]:
-        """The lines after the last store of a vector of lanes."""
+        """Write the lines after the last store of a vector of lanes."""
         return [
             f"  %next = add i64 %lane, {self.width}",
             "  %more = icmp ult i64 %next, %last",
@@ -93,7 +93,7 @@ class Emitter(Instructions):
         ]
 
     def functions(self) -> list[str]:
-        """The definitions of the subroutines and functions of C that are called."""
+        """Write the definitions of the subroutines and functions of C that are called."""
         lines: list[str] = []
         for name, (subroutine, width) in self.subroutines.items():
             emitter = SubroutineEmitter(subroutine.program, width, self.strict, 0, MANY_REGISTERS)
@@ -288,12 +288,12 @@ class Emitter(Instructions):
 
     def store_in_buffer(self, buffer: str, offset: int, value: Value) -> None:
         """Write the storing of a value of each lane at an offset of a buffer [bytes]."""
-        place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
-        self.write(place, "0", value, True)
+        place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", prefix="p")
+        self.emit_store(place, "0", value, True)
 
     def load_from_buffer(self, buffer: str, offset: int, dtype: np.dtype) -> str:
         """Write the loading of a value of each lane from an offset of a buffer [bytes]; return its register."""
-        place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
+        place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", prefix="p")
         return self.emit(f"load {self.kind(dtype, True)}, ptr {place}, align {dtype.itemsize}")
 
     def invert(self, condition: str, wide: bool) -> str:
@@ -331,10 +331,10 @@ class Emitter(Instructions):
 
     def store(self, position: int, output: Value) -> None:
         """Write the storing of a number of each lane into the column of the output at a position."""
-        self.write(self.column("outputs", position), "%lane", output, True)
+        self.emit_store(self.column("outputs", position), "%lane", output, True)
 
-    def write(self, column: str, element: str, value: Value, wide: bool) -> None:
-        """Write the storing of a value at an element of a column; a truth value is stored as a byte.
+    def emit_store(self, column: str, element: str, value: Value, wide: bool) -> None:
+        """Emit the instructions that store a value in a column; booleans are stored as bytes.
 
         Args:
             column: Register with the address of the column.
@@ -348,7 +348,7 @@ class Emitter(Instructions):
             kind = self.kind(BOOL, wide)
             dtype = stored_type(BOOL)
             register = self.emit(f"zext {kind} {register} to {self.kind(dtype, wide)}")
-        place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 {element}", "p")
+        place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 {element}", prefix="p")
         self.lines.append(f"  store {self.kind(dtype, wide)} {register}, ptr {place}, align {dtype.itemsize}")
 
     def record(self, record: Record) -> None:
@@ -357,7 +357,7 @@ class Emitter(Instructions):
         element = self.recorded_element(record.recording, index)
         for position, output in enumerate(self.program.outputs):
             if output is record.recording:
-                self.write(self.column("outputs", position), element, record.value, True)
+                self.emit_store(self.column("outputs", position), element, record.value, True)
 
     def recorded_element(self, recording: Recording, index: str) -> str:
         """Write where the element at an index of a recording lies for the vector's first lane; return its register.
@@ -377,12 +377,12 @@ class SubroutineEmitter(Emitter):
     """Writes a subroutine as a function of LLVM; its arguments are the inputs of its program, vectors of lanes."""
 
     def input(self, value: Value, wide: bool) -> str:
-        """The argument's register, by the position of the input; it is a vector, so ``wide`` does not matter."""
+        """Return the argument's register, by the position of the input; it is a vector, so ``wide`` does not matter."""
         position = value.detail
         return f"%a{position}"
 
     def definition(self, name: str) -> list[str]:
-        """The lines of the function, which returns the program's only output; arguments are %a0, %a1, ..."""
+        """Write the lines of the function, which returns the program's only output; arguments are %a0, %a1, ..."""
         result = self.program.outputs[0]
         assert isinstance(result, Value)
         self.block(self.program.body)
@@ -395,5 +395,5 @@ class SubroutineEmitter(Emitter):
 def module_text(
     program: Program, width: int, strict: bool = False, window: int = 0, register_use: RegisterUse = MANY_REGISTERS
 ) -> str:
-    """The text for LLVM of a program's module; arguments as of :class:`Emitter`."""
+    """Write the text for LLVM of a program's module; arguments as of :class:`Emitter`."""
     return Emitter(program, width, strict, window, register_use).text()

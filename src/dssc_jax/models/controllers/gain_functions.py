@@ -225,9 +225,13 @@ KAPPA_ABC = "variable gain's coefficient"
 
 
 class VariableGains(NamedTuple):
-    """The variable gains kappa_1, kappa_2 of Section IV-B at one sample, and the derivatives of kappa_1.
+    """The variable gains of Section IV-B at one sample.
 
-    ``by_sigma`` and ``by_e`` are those with respect to sigma and e.
+    Args:
+        kappa1: kappa_1.
+        kappa2: kappa_2.
+        by_sigma: Derivative of kappa_1 with respect to sigma.
+        by_e: Derivative of kappa_1 with respect to e.
     """
 
     kappa1: Scalar
@@ -247,15 +251,19 @@ def variable_gains(
         coefficients: kappa_a, kappa_b, kappa_c, kappa_d.
         epsilon: Share eps of kappa_2 that follows kappa_1.
         gamma: Constant part of kappa_2.
+
+    Returns:
+        Both gains, and the derivatives of kappa_1: 2 kappa kappa_a sgn(sigma) and 2 kappa kappa_b sgn(e), where kappa
+        is the sum in parentheses.
     """
     kappa_a, kappa_b, kappa_c, kappa_d = coefficients
     kappa = kappa_a * abs(sigma) + kappa_b * abs(e) + kappa_c
     kappa1 = kappa * kappa + kappa_d
     return VariableGains(
-        kappa1,
-        2.0 * epsilon * kappa1 + gamma,
-        2.0 * kappa * kappa_a * sign(sigma),
-        2.0 * kappa * kappa_b * sign(e),
+        kappa1=kappa1,
+        kappa2=2.0 * epsilon * kappa1 + gamma,
+        by_sigma=2.0 * kappa * kappa_a * sign(sigma),
+        by_e=2.0 * kappa * kappa_b * sign(e),
     )
 
 

@@ -3,6 +3,7 @@
 In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
 
+from collections.abc import Sequence
 from math import nan
 from typing import Annotated, Any, NamedTuple, NoReturn
 
@@ -38,6 +39,8 @@ from dssc_jax.core.units import OUTPUT as OUTPUT_UNIT
 K_P = Quantity("y/(s^2 u)", "high-frequency gain k_p; absent: metrics that need it are NaN")
 COMMAND_KEY = "command"
 DISTURBANCE_KEY = "disturbance"
+INPUTS_KEY = "inputs"
+Y_KEY = "y"
 RATE_KEY = "y_dot"
 
 
@@ -78,14 +81,14 @@ class FmuPlant:
         """Connect the loop's signals to the FMU's variables; ``disturbance`` and ``y_dot`` are optional."""
         self.fmu = fmu
         self.command = connection(fmu, table, COMMAND_KEY, INPUT)
-        self.disturbance = connection(fmu, table, DISTURBANCE_KEY, INPUT) if DISTURBANCE_KEY in table else None
-        self.inputs = tuple(sorted(connections(fmu, table, "inputs", INPUT)))
-        self.y = connection(fmu, table, "y", OUTPUT)
-        self.rate = connection(fmu, table, RATE_KEY, OUTPUT) if RATE_KEY in table else None
+        self.disturbance_input = connection(fmu, table, DISTURBANCE_KEY, INPUT) if DISTURBANCE_KEY in table else None
+        self.inputs = tuple(sorted(connections(fmu, table, INPUTS_KEY, INPUT)))
+        self.y = connection(fmu, table, Y_KEY, OUTPUT)
+        self.rate_output = connection(fmu, table, RATE_KEY, OUTPUT) if RATE_KEY in table else None
         self.outputs = reported_outputs(fmu, table)
         require_distinct(self.connected_inputs)
         self.parameters = parameter_connections(fmu, table, self.connected_inputs)
-        rate = () if self.rate is None else (self.rate,)
+        rate = () if self.rate_output is None else (self.rate_output,)
         outputs = (self.y, *rate, *self.outputs)
         ports = FmuPorts(
             fmu,
@@ -98,7 +101,7 @@ class FmuPlant:
     @property
     def connected_inputs(self) -> tuple[Connection, ...]:
         """The inputs that are set before each step: command, disturbance if it has one of its own, named inputs."""
-        disturbance = () if self.disturbance is None else (self.disturbance,)
+        disturbance = () if self.disturbance_input is None else (self.disturbance_input,)
         return (self.command, *disturbance, *self.inputs)
 
     @property
@@ -109,7 +112,7 @@ class FmuPlant:
         return ChannelUnits(output.unit or OUTPUT_UNIT, command.unit or COMMAND, output.meaning, command.meaning)
 
     def init(self, params: Params) -> FmuState:
-        """The state before an instance of the FMU is started, which :meth:`begin` replaces."""
+        """Return the state before an instance of the FMU is started, which :meth:`begin` replaces."""
         return FmuState(empty_words(), y=0.0, y_dot=0.0, outputs=(0.0,) * len(self.outputs))
 
     def begin(self, params: Params, state: FmuState, lane: Scalar, steps: int) -> FmuState:
@@ -121,32 +124,40 @@ class FmuPlant:
             lane: Word that tells the draw's instance apart.
             steps: Number of steps of the flight.
         """
-        words, (y, *outputs) = self.functions.start(lane, steps, values_of(params))
-        y_dot = outputs.pop(0) if self.rate else state.y_dot
-        return FmuState(words, y, y_dot, tuple(outputs))
+        words, values = self.functions.start(lane, steps, values_of(params))
+        y, y_dot, outputs = self.split_outputs(values)
+        return FmuState(words, y, state.y_dot if y_dot is None else y_dot, outputs)
 
     def advance(self, params: Params, state: FmuState, drive: PlantInput[Scalar], t: Scalar, h: float) -> FmuState:
-        """The state after a step of the FMU of length h [s] with constant input.
+        """Advance the FMU by one step of length h [s] under constant input.
 
         A disturbance without an input of its own is added to the command. Without an output for y', y' is the
         difference quotient of y over the step.
         """
-        command = drive.command if self.disturbance else drive.command + drive.disturbance
+        command = drive.command if self.disturbance_input else drive.command + drive.disturbance
         inputs: Signals = drive.inputs or (0.0,) * len(self.inputs)
-        disturbance = (drive.disturbance,) if self.disturbance else ()
-        words, (y, *outputs) = self.functions.step(state.words, h, (command, *disturbance, *inputs))
-        y_dot = outputs.pop(0) if self.rate else (y - state.y) / h
-        return FmuState(words, y, y_dot, tuple(outputs))
+        disturbance = (drive.disturbance,) if self.disturbance_input else ()
+        words, values = self.functions.step(state.words, h, (command, *disturbance, *inputs))
+        y, y_dot, outputs = self.split_outputs(values)
+        return FmuState(words, y, (y - state.y) / h if y_dot is None else y_dot, outputs)
+
+    def split_outputs(self, values: Sequence[Scalar]) -> tuple[Scalar, Scalar | None, tuple[Scalar, ...]]:
+        """Split the connected outputs into y, y' and the additional outputs; y' is None if no output gives it."""
+        y, *others = values
+        if self.rate_output is None:
+            return y, None, tuple(others)
+        y_dot, *outputs = others
+        return y, y_dot, tuple(outputs)
 
     def report(self, params: Params, state: FmuState, drive: PlantInput[Scalar]) -> Info:
-        """The additional outputs by their names in the study; () if it reports none."""
+        """Report the additional outputs by their names in the study; () if there are none."""
         if not self.outputs:
             return ()
         report = report_type(tuple(signal for signal, _ in self.outputs))
         return report(*state.outputs)
 
     def plant(self) -> Plant:
-        """The plant, an instance of its contract."""
+        """Make the plant, an instance of its contract."""
         return Plant(
             params_type(self.parameters, "k_p", K_P, None),
             self.init,
@@ -165,7 +176,7 @@ class FmuPlant:
 
 
 def input_gain(params: Params) -> Scalar:
-    """The high-frequency gain k_p that the study states [y/(s^2 u)]; NaN if it states none."""
+    """Return the high-frequency gain k_p that the study states [y/(s^2 u)]; NaN if it states none."""
     return nan if params.k_p is None else params.k_p
 
 
@@ -175,7 +186,7 @@ def no_derivative(params: Params, state: FmuState, drive: PlantInput[Scalar], t:
 
 
 def loaded_plant(table: TomlTable) -> Plant:
-    """The plant of the FMU that a study's table names by file and digest.
+    """Make the plant of the FMU that a study's table names by file and digest.
 
     Raises:
         ConfigError: The FMU is not loaded, or a variable is not there or cannot be connected.
@@ -197,10 +208,10 @@ UNLOADED = Plant(
 FMU_KEYS: dict[str, Any] = {
     **FILE_KEYS,
     COMMAND_KEY: "the FMU's input that is the command",
-    "y": "the FMU's output that is y",
+    Y_KEY: "the FMU's output that is y",
     RATE_KEY: "the FMU's output that is y'; absent: the difference quotient of y over the last step",
     DISTURBANCE_KEY: "the FMU's input that is the disturbance beside the command; absent: it is added to the command",
-    "inputs": "table of inputs of disturbances: the FMU's variable for each name in the study",
+    INPUTS_KEY: "table of inputs of disturbances: the FMU's variable for each name in the study",
     "outputs": OUTPUTS_KEY,
 }
 

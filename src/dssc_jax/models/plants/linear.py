@@ -99,14 +99,14 @@ class LinearState(NamedTuple):
 
 
 def initial_state(x0: tuple[Scalar, ...], order: int) -> LinearState:
-    """The state at t = 0 of a plant with ``order`` states: the entries x0, filled up with zeros."""
+    """Return the state at t = 0 of a plant with ``order`` states: the entries x0, filled up with zeros."""
     return LinearState((*x0, *(0.0,) * (order - len(x0))))
 
 
 def state_space_dynamics(params: StateSpaceParams) -> LinearDynamics:
-    """The plant's matrices: A, the columns of command and disturbance, and the columns of the named inputs."""
+    """Return the plant's matrices: A, the columns of command and disturbance, and the columns of the named inputs."""
     columns = tuple(item.column for _, item in by_names(params.inputs))
-    return LinearDynamics(params.a, (params.b,), (params.disturbance_column,), columns)
+    return LinearDynamics(a=params.a, command=(params.b,), disturbance=(params.disturbance_column,), inputs=columns)
 
 
 def state_space_measure(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Measurement:
@@ -126,7 +126,7 @@ def state_space_measure(params: StateSpaceParams, state: LinearState, drive: Pla
 
 
 def state_space_report(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Info:
-    """The values of the outputs that the study names, for metrics and plots; () if it names none."""
+    """Report the outputs that the study names, for metrics and plots; () if it names none."""
     return output_report(params.outputs, params.inputs, state.x, drive, is_matched=params.disturbance is None)
 
 
@@ -140,7 +140,7 @@ def state_space_gain(params: StateSpaceParams) -> Scalar:
 
 
 def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
-    """The parameters with the relative degrees of the nominal plant, after a check of all sizes.
+    """Check all sizes, and set the relative degrees of the nominal plant.
 
     Raises:
         ConfigError: A size does not fit, y has a feedthrough, or the command does not reach y.
@@ -180,10 +180,10 @@ def last_slope(params: RationalParams, state: LinearState) -> Scalar:
 
 
 def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
-    """The plant's matrices in controllable canonical form.
+    """Make the plant's matrices in controllable canonical form.
 
-    x_i' = x_(i+1). Command and disturbance add to the derivative of the last state with gain 1; the numerator is in the
-    output's row.
+    x_i' = x_(i+1). Command and disturbance add to the derivative of the last state with gain 1. The numerator does not
+    enter here; it determines the output (:func:`transfer_function_measure`).
     """
     leading, *lower = params.denominator
     order = len(lower)
@@ -192,7 +192,7 @@ def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
         rows.append(one_entry(1.0, i, order))
     rows.append(tuple(-coefficient / leading for coefficient in reversed(lower)))
     column = one_entry(1.0, order - 1, order)
-    return LinearDynamics(tuple(rows), (column,), (column,))
+    return LinearDynamics(a=tuple(rows), command=(column,), disturbance=(column,))
 
 
 def transfer_function_measure(params: RationalParams, state: LinearState, drive: PlantInput) -> Measurement:
@@ -239,7 +239,7 @@ def require_start(x0: tuple[Scalar, ...], order: int) -> None:
 
 
 def nominal_values(values: Any) -> Any:
-    """The same numbers or rows of numbers as plain numbers, with the median in place of each law."""
+    """Replace each law in numbers or rows of numbers by its median."""
     return tuple(nominal_values(value) if isinstance(value, tuple) else nominal(value) for value in values)
 
 

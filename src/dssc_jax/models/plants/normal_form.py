@@ -54,7 +54,7 @@ def linear(params: NormalFormParams) -> LinearDynamics:
     if zero_dynamics is not None:
         rows.append((0.0, 1.0, *(-a for a in zero_dynamics.a)))
     column = (0.0, params.k_p, *(0.0,) * order)
-    return LinearDynamics(tuple(rows), (column,), (column,))
+    return LinearDynamics(a=tuple(rows), command=(column,), disturbance=(column,))
 
 
 def measure(params: NormalFormParams, state: NormalFormState, drive: PlantInput) -> Measurement:

@@ -86,7 +86,7 @@ class Curve(NamedTuple):
 
 
 def ecef(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Earth-centred, Earth-fixed (ECEF) positions from geodetic coordinates.
+    """Convert geodetic coordinates to Earth-centred, Earth-fixed (ECEF) positions.
 
     Args:
         latitude: Latitudes [rad], any shape (...).
@@ -104,7 +104,7 @@ def ecef(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.
 
 
 def enu(params: WaypointParams) -> np.ndarray:
-    """East, north and up of the waypoints in the tangent plane at the ground of the first one [m], shape (n, 3)."""
+    """Convert the waypoints to east, north and up [m] in the tangent plane at the ground of the first, shape (n, 3)."""
     latitude = np.radians(np.asarray(params.latitude_deg, float))
     longitude = np.radians(np.asarray(params.longitude_deg, float))
     east = np.array([-np.sin(longitude[0]), np.cos(longitude[0]), 0.0])
@@ -137,23 +137,29 @@ def check_numbers(params: WaypointParams) -> None:
         raise ConfigError("latitude_deg", f"must hold at least two waypoints, got {count}")
     for name, hint in get_type_hints(WaypointParams, include_extras=True).items():
         values = getattr(params, name)
+        (quantity,) = hint.__metadata__
         if values is None:
             continue
-        is_list = np.ndim(values) == 1
-        if is_list and len(values) != count:
+        if np.ndim(values) == 0:
+            require_in_range(name, values, quantity)
+            continue
+        if len(values) != count:
             raise ConfigError(name, f"must hold {count} numbers, as latitude_deg does, got {len(values)}")
-        quantity = hint.__metadata__[0]  # the Quantity of the field's annotation
-        for i, value in enumerate(values if is_list else (values,)):
-            violation = quantity.violated_by(value, value)
-            if violation is None and not math.isfinite(value):
-                violation = "must be finite"
-            if violation:
-                rule = f"{quantity.meaning} [{quantity.unit}] {violation}, got {value:g}"
-                raise ConfigError(f"{name}.{i}" if is_list else name, rule)
+        for i, value in enumerate(values):
+            require_in_range(f"{name}.{i}", value, quantity)
+
+
+def require_in_range(name: str, value: float, quantity: Quantity) -> None:
+    """Require a finite number in the range of a quantity; raises ConfigError."""
+    violation = quantity.violated_by(value, value)  # a number is an interval whose ends are equal
+    if violation is None and not math.isfinite(value):
+        violation = "must be finite"
+    if violation:
+        raise ConfigError(name, f"{quantity.meaning} [{quantity.unit}] {violation}, got {value:g}")
 
 
 def path_through(params: WaypointParams) -> CubicSpline:
-    """The path: a natural cubic spline of x, y, z [m] and psi [rad] through the waypoints.
+    """Fit the path: a natural cubic spline of x, y, z [m] and psi [rad] through the waypoints.
 
     Its parameter u [m] is the length of the straight lines between the waypoints, from the first one on.
     """
@@ -197,7 +203,7 @@ def check_speed(params: WaypointParams, path: CubicSpline, u: np.ndarray, total:
 
 
 def rest_to_rest(t: np.ndarray, total: float, speed: float, ramp: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The motion along a path from rest to rest: a ramp of the speed, cruise, and the same ramp down.
+    """Compute the motion along a path from rest to rest: a ramp of the speed, cruise, and the same ramp down.
 
     The ramp is 10 x^3 - 15 x^4 + 6 x^5, so that the speed is twice continuously differentiable.
 
@@ -245,7 +251,7 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
 
 
 def slowed_step(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
-    """The time between two nodes with which the motion keeps the bounds of speed and acceleration between them, too.
+    """Lengthen the time between two nodes so that the motion keeps its bounds between them, too.
 
     A motion slowed down by a factor has its speed divided by it, and its acceleration divided by the factor's square.
 

@@ -94,7 +94,7 @@ class Airframe(NamedTuple):
 
 
 def parameters_in(text: str) -> dict[str, float]:
-    """The numbers of the parameters that the text of a file sets, by name; the last setting of a name counts.
+    """Parse the parameters that the text of a file sets, by name; the last setting of a name counts.
 
     Raises:
         ConfigError: A parameter that the model reads is not a number.
@@ -130,22 +130,22 @@ def note_unmatched_gains(parameters: Mapping[str, float], used_gains: tuple[str,
         notes.append(f"left out, without a counterpart here: {', '.join(sorted(gains))}")
 
 
-def note_unused_limits(parameters: Mapping[str, float], cascade: bool, notes: list[str]) -> None:
+def note_unused_limits(parameters: Mapping[str, float], use_px4_cascade: bool, notes: list[str]) -> None:
     """Add a note of the limits in the file that the table does not use, with their values.
 
     Args:
         parameters: The file's parameters.
-        cascade: Whether the inner loop is PX4's cascade, which uses some of the limits.
+        use_px4_cascade: Whether the inner loop is PX4's cascade, which uses some of the limits.
         notes: The list to which a note is added.
     """
-    names = LIMITS if cascade else LIMITS + CASCADE_LIMITS
+    names = LIMITS if use_px4_cascade else LIMITS + CASCADE_LIMITS
     settings = [f"{name} = {parameters[name]:g}" for name in names if name in parameters]
     if settings:
         notes.append(f"not used: {', '.join(settings)}")
 
 
 def missing_coordinates(parameters: Mapping[str, float]) -> list[str]:
-    """A warning if the file gives a coordinate for some rotors only; the others get 0, PX4's default."""
+    """Warn if the file gives a coordinate for some rotors only; the others get 0, PX4's default."""
     missing = []
     count = int(parameters["CA_ROTOR_COUNT"])
     for axis in "XYZ":
@@ -176,7 +176,7 @@ def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) ->
 
 
 def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) -> list[float]:
-    """The moments of inertia of the file [kg m^2], or an estimate from mass and arm [m], with a note."""
+    """Return the file's moments of inertia [kg m^2], or estimate them from mass and arm [m], with a note."""
     if all(name in parameters for name in INERTIA):
         return [parameters[name] for name in INERTIA]
     notes.append("body_inertia is estimated from mass and arm, within a third: the file does not set SIH_IXX, ..")
@@ -210,12 +210,12 @@ def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str
 
 
 def rotors_of(geometry: TomlTable) -> int:
-    """The number of rotors that entries of the vehicle place: in a list, or on a circle."""
+    """Count the rotors that entries of the vehicle place: in a list, or on a circle."""
     return len(geometry.get("rotor") or geometry["spins"])
 
 
 def hover_thrust(mass: float, geometry: TomlTable) -> float:
-    """The thrust of each rotor in hover [N], for a mass [kg]; tilted rotors push more than they lift."""
+    """Compute the thrust of each rotor in hover [N], for a mass [kg]; tilted rotors push more than they lift."""
     upward = 0.0  # sum of the axes' vertical parts; only tilted rotors have entries of their axes
     for entry in geometry.get("rotor", []):
         if "axis" in entry:
@@ -224,7 +224,7 @@ def hover_thrust(mass: float, geometry: TomlTable) -> float:
 
 
 def drag_entries(parameters: Mapping[str, float], rotors: int, notes: list[str]) -> TomlTable:
-    """Entries of the vehicle for the drag: SIH_KDV v, as the propellers of ``rotors`` rotors have it in hover."""
+    """Make the vehicle's entries for the drag: SIH_KDV v, as the propellers of ``rotors`` rotors have it in hover."""
     if "SIH_KDV" in parameters:
         notes.append("drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out")
     else:
@@ -234,7 +234,7 @@ def drag_entries(parameters: Mapping[str, float], rotors: int, notes: list[str])
 
 
 def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: list[str]) -> TomlTable:
-    """Entries of the vehicle for mass, inertia, thrust, drag and lag; every estimate adds a note.
+    """Make the entries of the vehicle for mass, inertia, thrust, drag and lag; every estimate adds a note.
 
     The file's inertia is the whole vehicle's, so the rotors' inertia is zero. PX4's lag delays the thrust; near hover,
     where the thrust is linear in the rotor speed, the speed has the same lag. SIH_KDV v is the propellers' drag at
@@ -268,7 +268,7 @@ def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: l
 
 
 def cascade_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTable:
-    """The table ``[plant.inner_loop]`` of PX4's cascade with the file's gains; notes say what the file leaves out."""
+    """Make the table ``[plant.inner_loop]`` of PX4's cascade with the file's gains; notes say what it leaves out."""
     gains = gains_from(parameters)
     if parameters.get(LOOP_RATE, 0.0) > 0.0:
         gains["frequency"] = parameters[LOOP_RATE]
@@ -282,7 +282,7 @@ def cascade_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTabl
 
 
 def article_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTable:
-    """The table ``[plant.inner_loop]`` of the article's inner loop, with the gains that the file sets.
+    """Make the table ``[plant.inner_loop]`` of the article's inner loop, with the gains that the file sets.
 
     MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are the model's gains. PX4 makes an error of roll into a desired rate, p =
     MC_ROLL_P times the error. The model's attitude loop is of second order; with k_p/k_d = p and a double pole it has
@@ -300,13 +300,13 @@ def article_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTabl
     return gains
 
 
-def control_entries(parameters: Mapping[str, float], notes: list[str], cascade: bool) -> TomlTable:
-    """The entries of ``[plant]`` for the desaturation, by default that of MC_AIRMODE = 0, and for the inner loop.
+def control_entries(parameters: Mapping[str, float], notes: list[str], use_px4_cascade: bool) -> TomlTable:
+    """Make the entries of ``[plant]`` for the desaturation, by default that of MC_AIRMODE = 0, and for the inner loop.
 
     Args:
         parameters: The file's parameters.
         notes: The list to which notes are added.
-        cascade: Whether the inner loop is PX4's cascade, and not the article's.
+        use_px4_cascade: Whether the inner loop is PX4's cascade, and not the article's.
 
     Raises:
         ConfigError: MC_AIRMODE has another value than PX4's.
@@ -317,12 +317,12 @@ def control_entries(parameters: Mapping[str, float], notes: list[str], cascade: 
     if "MC_AIRMODE" not in parameters:
         notes.append("desaturation is that of MC_AIRMODE = 0, PX4's default: the file does not set it")
     control: TomlTable = {"desaturation": AIRMODES[int(mode)].value}
-    gains = cascade_gains(parameters, notes) if cascade else article_gains(parameters, notes)
+    gains = cascade_gains(parameters, notes) if use_px4_cascade else article_gains(parameters, notes)
     return control | {"inner_loop": gains} if gains else control
 
 
 def with_simulation_defaults(parameters: dict[str, float], notes: list[str]) -> dict[str, float]:
-    """The parameters with PX4's defaults of the simulation in hardware, if the file is one for it, and a note."""
+    """Add PX4's defaults of the simulation in hardware, with a note, if the file is one for it."""
     if "SIH_VEHICLE_TYPE" not in parameters:
         return parameters
     unset = [name for name in SIH_DEFAULTS if name not in parameters]
@@ -334,7 +334,7 @@ def with_simulation_defaults(parameters: dict[str, float], notes: list[str]) -> 
 def with_stated_sizes(
     parameters: dict[str, float], mass: float | None, arm: float | None, notes: list[str]
 ) -> dict[str, float]:
-    """The parameters with a stated mass [kg] and arm [m] in place of the file's; None: it is not stated."""
+    """Replace the file's mass [kg] and arm [m] by the stated ones; None: it is not stated."""
     stated_values = {}
     if mass is not None:
         stated_values["SIH_MASS"] = mass
@@ -345,24 +345,33 @@ def with_stated_sizes(
     return parameters | stated_values
 
 
+def drop_torque_of_single_rotors(vehicle: TomlTable) -> None:
+    """Remove the torque coefficient of each listed rotor, where the simulated plant's coefficient holds for all."""
+    for entry in vehicle.get("rotor", []):
+        entry.pop("torque_coefficient")
+
+
 def read_airframe(
-    file: str | Mapping[str, float], mass: float | None = None, arm: float | None = None, cascade: bool = False
+    text_or_parameters: str | Mapping[str, float],
+    mass: float | None = None,
+    arm: float | None = None,
+    use_px4_cascade: bool = False,
 ) -> Airframe:
-    """The tables of the vehicle that PX4's parameters describe, with notes on what they leave out.
+    """Convert PX4 parameters to the study's vehicle tables, with notes on what the parameters do not specify.
 
     The parameters come from an airframe script, from a file that a ground station saved, or from a log.
 
     Args:
-        file: The file's text, or parameters by name.
+        text_or_parameters: The file's text, or parameters by name.
         mass: Mass of the vehicle [kg]; None: the file's.
         arm: Length of an arm [m], for positions that are ratios. None: the positions of PX4's generic airframes are
             ratios of SIH_L_PITCH and SIH_L_ROLL in the file, and other positions are in metres.
-        cascade: Whether the inner loop is PX4's cascade with the file's gains, and not the article's.
+        use_px4_cascade: Whether the inner loop is PX4's cascade with the file's gains, and not the article's.
 
     Raises:
         ConfigError: The file gives no mass, or describes something that the model cannot represent.
     """
-    parameters = parameters_in(file) if isinstance(file, str) else dict(file)
+    parameters = parameters_in(text_or_parameters) if isinstance(text_or_parameters, str) else dict(text_or_parameters)
     require_finite(parameters)
     if not any(name.startswith("CA_") for name in parameters):
         raise ConfigError("", "sets no parameter CA_..; a PX4 airframe or parameter file is needed")
@@ -376,12 +385,11 @@ def read_airframe(
         notes.append("positions are ratios, and became metres by the stated length, or SIH_L_PITCH and SIH_L_ROLL")
     geometry = geometry_of(rotors)
     vehicle: TomlTable = {"kind": "m600_quadrotor"} | geometry | properties_of(parameters, geometry, notes)
-    if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:  # that torque holds for all rotors
-        for entry in vehicle.get("rotor", []):
-            entry.pop("torque_coefficient")
+    if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
+        drop_torque_of_single_rotors(vehicle)
     warnings = implausible(flying_vehicle(vehicle, parameters), vehicle)
-    control = control_entries(parameters, notes, cascade)
-    note_unmatched_gains(parameters, CASCADE_PARAMETERS if cascade else ARTICLE_PARAMETERS, notes)
-    note_unused_limits(parameters, cascade, notes)
+    control = control_entries(parameters, notes, use_px4_cascade)
+    note_unmatched_gains(parameters, CASCADE_PARAMETERS if use_px4_cascade else ARTICLE_PARAMETERS, notes)
+    note_unused_limits(parameters, use_px4_cascade, notes)
     warnings += missing_coordinates(parameters)
     return Airframe(vehicle, tuple(notes), control, tuple(warnings))

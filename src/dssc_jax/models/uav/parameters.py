@@ -81,7 +81,7 @@ class UavParams(NamedTuple):
 
     @property
     def inner_model(self) -> InnerModel:
-        """The values that the inner loop believes, complete after :func:`prepare`."""
+        """The values that the inner loop assumes; some are None before :func:`prepare`."""
         mass, inertia, thrust_coefficient = self.believed
         assert mass is not None
         assert inertia is not None
@@ -90,12 +90,15 @@ class UavParams(NamedTuple):
 
     @property
     def believed_coefficients(self) -> tuple[Scalar, ...]:
-        """The k_T of each rotor that the inner loop believes, complete after :func:`prepare` [N s^2/rad^2]."""
+        """The k_T of each rotor that the inner loop assumes [N s^2/rad^2]; all are equal before :func:`prepare`."""
         return self.believed_rotors or (self.inner_model.thrust_coefficient,) * self.vehicle.rotors
 
     @property
     def hover_thrusts(self) -> tuple[Scalar, ...]:
-        """Thrusts of the rotors at which the believed vehicle hovers, complete after :func:`prepare` [N]."""
+        """Thrust of each rotor in hover [N], with the mass that the inner loop assumes.
+
+        Before :func:`prepare` the weight is shared equally.
+        """
         weight = self.inner_model.mass * GRAVITY
         if not self.hover_shares:
             return (weight / self.vehicle.rotors,) * self.vehicle.rotors
@@ -141,7 +144,7 @@ class UavParams(NamedTuple):
 
 
 def prepare(params: UavParams) -> UavParams:
-    """The parameters with the numbers that follow from the nominal vehicle, after a check of the vehicle.
+    """Check the vehicle, and set the numbers that follow from the nominal vehicle.
 
     Raises:
         ConfigError: The vehicle cannot fly, a place or velocity has not three values, or a rule of a part is broken.

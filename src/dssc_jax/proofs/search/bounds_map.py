@@ -4,6 +4,7 @@ The loop is a linear middle loop plus deviations (method 2 of docs/proofs.md). B
 deviations, and the middle loop's responses to the deviations give new bounds of the signals.
 """
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -54,7 +55,7 @@ class BoundsMap(NamedTuple):
 
 
 def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap | None:
-    """The map of bounds to bounds for a law in a region; None if the middle loop is not stable.
+    """Make the map of bounds to bounds for a law in a region; None if the middle loop is not stable.
 
     The deviations enter z+ = A z + B w + b_v omega_v + b_u omega_u + omega. Each of them is bounded by a row of
     coefficients of the signals' bounds, with a constant at the end.
@@ -70,7 +71,8 @@ def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap 
     if spectral_radius(step.a) >= 1.0:
         return None
     unit = np.eye(step.a.shape[0])
-    share = (box["k_p"][1] - point.k_p) / point.k_p  # dk_p/k_p
+    _, largest_k_p = box["k_p"]
+    share = (largest_k_p - point.k_p) / point.k_p  # dk_p/k_p
     v_column = unit[-2] - step.push  # b_v: a change of v (or q) changes the state itself and, through -v, the command
     jump = problem.sample_time * signal_sizes(problem, box).slope * share * step.jump  # zeta's at other values of k_p
     inputs = np.concatenate([step.b, jump[:, None], v_column[:, None], step.push[:, None], unit], axis=1)
@@ -103,7 +105,7 @@ def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap 
 
 
 def bounded_signals(step: Step, spread: LawSpread, point: LoopPoint) -> np.ndarray:
-    """Rows that give the signals from the state z of the middle loop, in the order of their places, (signals, n)."""
+    """Make the rows that give the signals from the state z of the middle loop, in their order, shape (signals, n)."""
     rows = step.rows
     unit = np.eye(step.a.shape[0])
     # u_eq = v + (1 + tau_av/T_s) (v+ - v), where the slide gains hold the factor 1 + tau_av/T_s
@@ -116,16 +118,17 @@ def bounded_signals(step: Step, spread: LawSpread, point: LoopPoint) -> np.ndarr
 
 
 def deviation_row(deviation: Deviation, signals: int) -> np.ndarray:
-    """The bound of a deviation as coefficients of the signals' bounds, and a constant at the end, (signals + 1,)."""
+    """Bound a deviation by coefficients of the signals' bounds, and a constant at the end, shape (signals + 1,)."""
     row = np.zeros(signals + 1)
     row[CHANGE], row[SIGMA], row[signals] = deviation
     return row
 
 
 def held_deviations(problem: ProofProblem, box: Box, command: np.ndarray) -> np.ndarray:
-    """Bounds of |omega_i| = k_p dGamma_i |command| + sum of dPhi_ij |z_j|, what each state deviates by in a sample.
+    """Bound how far one sampled step of a state can differ from the middle model's, over all parameters in the box.
 
-    dPhi and dGamma are the distances of Phi and Gamma at the ends of a_p and 1/mu from those in the middle of the box.
+    |omega_i| <= k_p dGamma_i |command| + sum of dPhi_ij |z_j|, where dPhi and dGamma are the distances of Phi and Gamma
+    from those in the middle of the box. They are evaluated at the corners; ``CORNER_ROOM`` covers what lies between.
 
     Args:
         problem: The loop and its uncertain numbers.
@@ -139,11 +142,11 @@ def held_deviations(problem: ProofProblem, box: Box, command: np.ndarray) -> np.
     largest = np.zeros((n, command.size))
     phi, gamma = held_matrices(problem, middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))))
     chi = phi.shape[0]
-    for a_p in set(box["a_p"]):
-        for rate in set(box.get("rate", (0.0, 0.0))):
-            corner_phi, corner_gamma = held_matrices(problem, a_p, rate)
-            deviation = np.zeros((n, command.size))
-            deviation[:chi, STATES : STATES + chi] = np.abs(corner_phi - phi)
-            deviation[:chi] += box["k_p"][1] * np.abs(corner_gamma - gamma)[:, None] * command
-            largest = np.maximum(largest, deviation)
+    _, largest_k_p = box["k_p"]
+    for a_p, rate in product(set(box["a_p"]), set(box.get("rate", (0.0, 0.0)))):  # equal ends count once
+        corner_phi, corner_gamma = held_matrices(problem, a_p, rate)
+        deviation = np.zeros((n, command.size))
+        deviation[:chi, STATES : STATES + chi] = np.abs(corner_phi - phi)
+        deviation[:chi] += largest_k_p * np.abs(corner_gamma - gamma)[:, None] * command
+        largest = np.maximum(largest, deviation)
     return CORNER_ROOM * largest

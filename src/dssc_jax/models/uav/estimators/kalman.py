@@ -85,10 +85,29 @@ class KalmanFilter(NamedTuple):
     initial_attitude: Annotated[Scalar, Quantity("rad", "standard deviation at first", at_least=0.0)] = 0.0
 
     def start(self, motion: Motion, random: Random) -> KalmanMemory:
-        """The filter at t = 0, with errors drawn from its covariance.
+        """Start the filter at t = 0, with errors drawn from its covariance.
 
-        It takes the biases for 0; the sensors draw the true ones.
+        The bias estimates start at 0; the true biases are drawn by the sensors.
         """
+        attitude_error = random.vector(StartPlace.ATTITUDE, self.initial_attitude)
+        zero = Vec3(0.0, 0.0, 0.0)
+        sensors = start_sensors(self.sensors, motion, random)
+        estimate = Motion(
+            position=motion.position - random.vector(StartPlace.POSITION, self.initial_position),
+            velocity=motion.velocity - random.vector(StartPlace.VELOCITY, self.initial_velocity),
+            attitude=product(rotation_of(-attitude_error), motion.attitude),
+            rate=motion.rate + sensors.gyro_bias,
+        )
+        return KalmanMemory(
+            estimate=estimate,
+            gyro_bias=zero,
+            accel_bias=zero,
+            covariance=self.first_covariance(),
+            sensors=sensors,
+        )
+
+    def first_covariance(self) -> Covariance:
+        """Covariance of the first estimate's error, a diagonal matrix."""
         stds = (
             *(self.initial_position,) * 3,
             *(self.initial_velocity,) * 3,
@@ -99,16 +118,7 @@ class KalmanFilter(NamedTuple):
         rows: list[list[Scalar]] = [[0.0] * (i + 1) for i in range(STATES)]  # the lower triangle
         for i, std in enumerate(stds):
             rows[i][i] = std * std
-        attitude_error = random.vector(StartPlace.ATTITUDE, self.initial_attitude)
-        zero = Vec3(0.0, 0.0, 0.0)
-        sensors = start_sensors(self.sensors, motion, random)
-        estimate = Motion(
-            motion.position - random.vector(StartPlace.POSITION, self.initial_position),
-            motion.velocity - random.vector(StartPlace.VELOCITY, self.initial_velocity),
-            product(rotation_of(-attitude_error), motion.attitude),
-            motion.rate + sensors.gyro_bias,
-        )
-        return KalmanMemory(estimate, zero, zero, tuple(map(tuple, rows)), sensors)
+        return tuple(map(tuple, rows))
 
     def step(self, memory: KalmanMemory, motion: Motion, random: Random, k: Scalar, dt: float) -> KalmanMemory:
         """The memory after a sample: the inertial unit predicts the motion, and the other sensors correct it.
@@ -148,7 +158,12 @@ class KalmanFilter(NamedTuple):
         for first, density in noises:
             for i in range(first, first + 3):
                 covariance[i][i] = covariance[i][i] + density * density * dt
-        estimate = Motion(position, velocity, product(previous.attitude, rotation_step).normalised(), previous.rate)
+        estimate = Motion(
+            position=position,
+            velocity=velocity,
+            attitude=product(previous.attitude, rotation_step).normalised(),
+            rate=previous.rate,
+        )
         return memory._replace(estimate=estimate, covariance=tuple(map(tuple, covariance)))
 
     def correct(self, memory: KalmanMemory, readings: Aids, dt: float) -> KalmanMemory:
@@ -177,10 +192,10 @@ class KalmanFilter(NamedTuple):
         parts = (Vec3(*update.error[first : first + 3]) for first in range(0, STATES, 3))
         position, velocity, attitude, gyro_bias, accel_bias = parts
         corrected = Motion(
-            estimate.position + position,
-            estimate.velocity + velocity,
-            product(rotation_of(attitude), estimate.attitude).normalised(),
-            estimate.rate,
+            position=estimate.position + position,
+            velocity=estimate.velocity + velocity,
+            attitude=product(rotation_of(attitude), estimate.attitude).normalised(),
+            rate=estimate.rate,
         )
         return memory._replace(
             estimate=corrected,

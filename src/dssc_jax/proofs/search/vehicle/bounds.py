@@ -1,6 +1,7 @@
-"""Bounds Y of all signals of a vehicle that imply themselves, F(Y) < Y, searched in floating point.
+"""Bounds Y of all signals of a vehicle that imply themselves, searched in floating point.
 
-The map F of :mod:`dssc_jax.proofs.search.vehicle.bounds_map` is applied to small bounds until they no longer grow.
+Y is self-consistent, F(Y) < Y: signals within Y are within F(Y), and so they never leave Y. The map F of
+:mod:`dssc_jax.proofs.search.vehicle.bounds_map` is applied to small bounds until they no longer grow.
 """
 
 import math
@@ -50,9 +51,9 @@ LARGEST_GROWTH = 2.0
 DAMPING_SHARE = 1.7
 """The first damping of drag that is tried, over k W/M."""
 DAMPING_STEPS = (0.6, 0.8, 1.25, 1.6)
-"""Further dampings that are tried, over the first one."""
+"""Further dampings that are tried, as ratios to the first one."""
 FINE_STEPS = (0.88, 0.92, 0.96, 1.04, 1.08, 1.12)
-"""Dampings that are tried for a moving reference besides, over the best one so far: they shape the nominal flight."""
+"""Dampings that are tried for a moving reference too, as ratios to the best so far: they shape the nominal flight."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class VehicleBounds:
 
     @property
     def error(self) -> float:
-        """Bound of |e| along x and y [m]."""
+        """Bound of the horizontal error |e| [m]."""
         return self.totals["x"]["e"]
 
     @property
@@ -85,7 +86,7 @@ class VehicleBounds:
 
 
 def vehicle_bounds(
-    problem: VehicleProblem, damping: Damping, room_factor: float, *, from_start: bool
+    problem: VehicleProblem, damping: Damping, inflation_factor: float, *, from_start: bool
 ) -> VehicleBounds | Obstacle:
     """Search for bounds that imply themselves, with one damping of drag.
 
@@ -94,7 +95,7 @@ def vehicle_bounds(
     Args:
         problem: The vehicle.
         damping: Damping of drag.
-        room_factor: Factor of the room that is left for the verifier.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
         from_start: Whether the bounds hold from the problem's start on; else the vehicle begins on the nominal flight.
 
     Returns:
@@ -115,7 +116,7 @@ def vehicle_bounds(
                 return Obstacle.GAIN
             vehicle = refitted
             fitted_regions |= moved_regions
-        outcome = fixed_point_from(vehicle, first_bounds, fitted_regions, room_factor)
+        outcome = fixed_point_from(vehicle, first_bounds, fitted_regions, inflation_factor)
         if outcome is None:
             return Obstacle.GAIN
         totals, _ = vehicle_totals(vehicle.nominal, outcome.bounds)
@@ -174,7 +175,7 @@ class GrownBounds(NamedTuple):
 
 
 def fixed_point_from(
-    vehicle: LinearVehicle, start: Signals, regions: dict[str, float], room_factor: float
+    vehicle: LinearVehicle, start: Signals, regions: dict[str, float], inflation_factor: float
 ) -> GrownBounds | None:
     """Apply the map F again and again, from small bounds on, until the bounds no longer grow.
 
@@ -182,7 +183,7 @@ def fixed_point_from(
         vehicle: The linear channels and their responses.
         start: Bounds to begin with, of every signal of every channel.
         regions: Bound of |sigma| of each channel for which the lines were chosen.
-        room_factor: Factor of the room that is left for the verifier.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
 
     Returns:
         The bounds; None if they leave the range of the theorem, or still grow after ``ITERATIONS``.
@@ -196,7 +197,7 @@ def fixed_point_from(
             return None
         wider: Signals = {}
         for name in CHANNELS:
-            wider[name] = {key: inflated_bound(key, value, room_factor) for key, value in implied[name].items()}
+            wider[name] = {key: inflated_bound(key, value, inflation_factor) for key, value in implied[name].items()}
         growth = largest_growth(y, wider)
         y = larger_bounds(y, wider)
         if growth <= 1.0 + SETTLED:
@@ -208,7 +209,7 @@ def fixed_point_from(
 
 
 def largest_growth(before: Signals, after: Signals) -> float:
-    """The largest ratio of a bound to the one before."""
+    """Compute the largest ratio of a bound to the one before."""
     ratios = []
     for name in CHANNELS:
         ratios += [bound / before[name][key] for key, bound in after[name].items()]
@@ -216,23 +217,23 @@ def largest_growth(before: Signals, after: Signals) -> float:
 
 
 def larger_bounds(first: Signals, second: Signals) -> Signals:
-    """The larger one of two bounds of each signal, by channel and name."""
+    """Take the larger one of two bounds of each signal, by channel and name."""
     larger: Signals = {}
     for name in CHANNELS:
         larger[name] = {key: max(bound, first[name][key]) for key, bound in second[name].items()}
     return larger
 
 
-def inflated_bound(signal: str, bound: float, room_factor: float) -> float:
+def inflated_bound(signal: str, bound: float, inflation_factor: float) -> float:
     """Widen the bound of a signal for what the verifier's balls and tails add.
 
     Args:
-        signal: Name of the signal; sums of fast signals need more room.
+        signal: Name of the signal; sums of fast signals are widened more.
         bound: The bound.
-        room_factor: Factor of the usual room.
+        inflation_factor: Multiple of the usual widening.
     """
     share = FAST_INFLATION if signal in FAST else INFLATION
-    return max((1.0 + room_factor * share) * bound, SMALLEST_BOUND)
+    return max((1.0 + inflation_factor * share) * bound, SMALLEST_BOUND)
 
 
 def checked_bounds(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | Obstacle:
@@ -251,11 +252,11 @@ def checked_bounds(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | Obstac
     implied = apply_map(vehicle, deviations, y)
     if not slides(vehicle.problem, deviations, totals, implied.remainders):
         return Obstacle.SLIDING
-    return VehicleBounds(vehicle.lines, vehicle.damping, y, implied.rotors, totals)
+    return VehicleBounds(lines=vehicle.lines, damping=vehicle.damping, bounds=y, rotors=implied.rotors, totals=totals)
 
 
 def first_damping(problem: VehicleProblem) -> Damping:
-    """The damping of drag that is tried first: ``DAMPING_SHARE`` times k W/M, where W is the wind's speed.
+    """Return the damping of drag that is tried first: ``DAMPING_SHARE`` times k W/M, where W is the wind's speed.
 
     k W/M is about the slope of the drag over the velocity. A moving reference adds its speed to W.
     """
@@ -271,12 +272,14 @@ def first_damping(problem: VehicleProblem) -> Damping:
     return Damping(plane=DAMPING_SHARE * k_h * air_speed, vertical=DAMPING_SHARE * k_z * air_speed)
 
 
-def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool = True) -> VehicleBounds | Obstacle:
-    """Search for the bounds with the smallest |e| in the plane, over several dampings of drag there.
+def best_bounds(
+    problem: VehicleProblem, inflation_factor: float, *, from_start: bool = True
+) -> VehicleBounds | Obstacle:
+    """Try several values of the assumed drag damping; keep the bounds with the smallest horizontal error.
 
     Args:
         problem: The vehicle.
-        room_factor: Factor of the room that is left for the verifier.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
         from_start: Whether the bounds hold from the problem's start on; else the vehicle begins on the nominal flight.
 
     Returns:
@@ -285,8 +288,8 @@ def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool
     damping = first_damping(problem)
 
     def bounds_with(plane_damping: float) -> VehicleBounds | Obstacle:
-        """Bounds that imply themselves, with a damping of drag in the plane [1/s]."""
-        return vehicle_bounds(problem, damping._replace(plane=plane_damping), room_factor, from_start=from_start)
+        """Search for bounds that imply themselves, with a damping of horizontal drag [1/s]."""
+        return vehicle_bounds(problem, damping._replace(plane=plane_damping), inflation_factor, from_start=from_start)
 
     best = bounds_with(damping.plane)
     for step in DAMPING_STEPS:
@@ -299,7 +302,7 @@ def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool
 
 
 def with_smaller_error(best: VehicleBounds | Obstacle, trial: VehicleBounds | Obstacle) -> VehicleBounds | Obstacle:
-    """The better one of two outcomes: bounds before an obstacle, then the smaller |e| in the plane, then the first."""
+    """Choose the better outcome: bounds before an obstacle, then the smaller horizontal error, then the first."""
     if isinstance(trial, Obstacle):
         return best
     if isinstance(best, Obstacle):
@@ -322,11 +325,11 @@ def linear_channel_proofs(problem: VehicleProblem, result: VehicleBounds) -> Jso
     channels: JsonObject = {}
     for name in CHANNELS:
         step = sampled_channel(problem, problem.channels[name], linear[name], result.lines[name])
-        *slopes, share = result.lines[name]
+        lines = result.lines[name]
         lost_share, p = decay_of(step.a)  # of V = z'Pz in a sample
         channels[name] = {
-            "slopes": slopes,
-            "share": share,
+            "slopes": [lines.k_1, lines.k_2, lines.k_3],
+            "share": lines.share,
             "drag_damping": dampings[name],
             "rate": lost_share / problem.sample_time,
             "p": p.tolist(),

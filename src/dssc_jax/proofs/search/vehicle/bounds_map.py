@@ -51,7 +51,7 @@ class LinearVehicle:
     nominal: Nominal | None
 
     def deviations(self, totals: Signals) -> dict[str, ChannelDeviations]:
-        """How far phi_1, phi_2 and n of each channel are from straight lines while the signals are within bounds.
+        """Bound how far phi_1, phi_2 and n of each channel are from straight lines while the signals are within bounds.
 
         Only the bound of |sigma| matters.
 
@@ -69,7 +69,7 @@ class LinearVehicle:
 
 
 def linear_channels(problem: VehicleProblem, damping: Damping) -> dict[str, LinearChannel]:
-    """The linear channels by name, with the damping of drag."""
+    """Make the linear channels by name, with the damping of drag."""
     return {
         "x": planar_channel(problem, damping.plane),
         "z": vertical_channel(problem, damping.vertical),
@@ -80,7 +80,7 @@ def linear_channels(problem: VehicleProblem, damping: Damping) -> dict[str, Line
 def input_sizes(
     response: ChannelResponse, deviations: ChannelDeviations, sigma: float, remainders: dict[str, float]
 ) -> np.ndarray:
-    """Bounds of a channel's inputs omega_u, omega_r and remainders, in this order, shape (inputs,).
+    """Bound a channel's inputs omega_u, omega_r and remainders, in this order, shape (inputs,).
 
     Args:
         response: Responses of the channel, which know the order of its remainders.
@@ -96,7 +96,7 @@ def input_sizes(
 def with_slopes(
     problem: VehicleProblem, response: ChannelResponse, point_bounds: np.ndarray, slopes: dict[str, float]
 ) -> dict[str, float]:
-    """Bounds of a channel's signals at all times, by name, from bounds at four points of a sample.
+    """Bound a channel's signals at all times, by name, from bounds at four points of a sample.
 
     Every time is within T_s/8 of one of the points, so T_s/8 times the slope is added.
 
@@ -114,7 +114,7 @@ def with_slopes(
 def bounds_at_points(
     problem: VehicleProblem, name: str, response: ChannelResponse, deviations: ChannelDeviations, sizes: np.ndarray
 ) -> np.ndarray:
-    """Bounds of a channel's signals at the points of a sample, shape (points, signals).
+    """Bound a channel's signals at the points of a sample, shape (points, signals).
 
     They are the sum of the responses to omega_u and omega_r, to the remainders, to the constant |o| <= k g and to the
     start.
@@ -186,7 +186,7 @@ def slides(
     """
     t = problem.sample_time
     for name, channel in problem.channels.items():
-        k_p, k_i, reach = deviations[name].steepest
+        k_p, k_i, equivalent_factor = deviations[name].largest_gains
         phi_1_distance = deviations[name].distance.phi_1  # D_1
         force = remainders[name]["torque" if name == "psi" else "force"]
         if name == "z":
@@ -194,15 +194,15 @@ def slides(
         sigma_dot = totals[name]["bend"] + force  # S'
         integral_rate = k_i * totals[name]["sigma"]
         level = max(totals[name]["u_av"] + phi_1_distance, 0.5 * t * integral_rate)  # V_a
-        if level + t * reach * (k_p * sigma_dot + integral_rate) > channel.rho:
+        if level + t * equivalent_factor * (k_p * sigma_dot + integral_rate) > channel.rho:
             return False
-        if channel.start == "zero" and reach * (k_p + t * k_i) * problem.first_sigma(name) > channel.rho:
+        if channel.start == "zero" and equivalent_factor * (k_p + t * k_i) * problem.first_sigma(name) > channel.rho:
             return False
     return True
 
 
 def vehicle_totals(nominal: Nominal | None, y: Signals) -> tuple[Signals, Couplings | None]:
-    """Bounds of the vehicle's own signals, N + Y, and of the products that couple the channels of a moving vehicle.
+    """Bound the vehicle's own signals by N + Y, and the products that couple the channels of a moving vehicle.
 
     Args:
         nominal: The nominal flight, whose signals are at most N; None: the vehicle hovers, and has no couplings.

@@ -100,7 +100,7 @@ class DeviationTable:
         self.entries: dict[int, ChannelDeviations] = {}
 
     def at(self, sigma: float) -> ChannelDeviations:
-        """The deviations in the smallest region of the grid that contains all |sigma| up to ``sigma``."""
+        """Return the deviations in the smallest region of the grid that contains all |sigma| up to ``sigma``."""
         step = math.ceil(math.log(max(sigma, SMALLEST_REGION)) / math.log(TABLE_RATIO))
         if step not in self.entries:
             region = TABLE_RATIO**step
@@ -118,7 +118,7 @@ class CellSearch:
         nominal: The nominal flight; the bounds are those of the deviation from it. None: the vehicle hovers.
         responses: Responses of each channel in time cells.
         tables: How far each channel's functions are from straight lines.
-        room_factor: Factor of the room that is left for the verifier.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
     """
 
     problem: VehicleProblem
@@ -126,20 +126,20 @@ class CellSearch:
     nominal: Nominal | None
     responses: dict[str, CellResponses]
     tables: dict[str, DeviationTable]
-    room_factor: float
+    inflation_factor: float
 
 
-def cell_bounds(problem: VehicleProblem, room_factor: float) -> CellBounds | Obstacle:
+def cell_bounds(problem: VehicleProblem, inflation_factor: float) -> CellBounds | Obstacle:
     """Search for bounds in time cells, with several layouts of cells and straight lines, until one choice succeeds.
 
     Args:
         problem: The vehicle.
-        room_factor: Factor of the room that is left for the verifier.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
 
     Returns:
         The bounds, or why there are none.
     """
-    settled = settled_bounds(problem, room_factor)
+    settled = settled_bounds(problem, inflation_factor)
     if isinstance(settled, Obstacle):
         return settled
     is_moving = problem.reference is not None
@@ -152,20 +152,20 @@ def cell_bounds(problem: VehicleProblem, room_factor: float) -> CellBounds | Obs
             earlier_cells=round(last_begin / duration),
         )
         lines = {name: lines_between(problem, name, settled.regions[name], share, widening) for name in CHANNELS}
-        result = bounds_cell_by_cell(problem, settled, lines, layout, room_factor)
+        result = bounds_cell_by_cell(problem, settled, lines, layout, inflation_factor)
         if not isinstance(result, Obstacle):
             return result
     return result
 
 
-def settled_bounds(problem: VehicleProblem, room_factor: float) -> VehicleBounds | Obstacle:
-    """Bounds of the vehicle that starts at rest, or on the nominal flight; or why there are none."""
+def settled_bounds(problem: VehicleProblem, inflation_factor: float) -> VehicleBounds | Obstacle:
+    """Search for bounds of the vehicle that starts at rest, or on the nominal flight; or say why there are none."""
     resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
-    return best_bounds(replace(problem, channels=resting), room_factor, from_start=False)
+    return best_bounds(replace(problem, channels=resting), inflation_factor, from_start=False)
 
 
 def lines_between(problem: VehicleProblem, name: str, sigma: float, share: float, widening: float) -> StraightLines:
-    """The best straight lines of a channel for a region of |sigma| between the settled vehicle's and the start's.
+    """Find the best straight lines of a channel for a region of |sigma| between the settled vehicle's and the start's.
 
     Args:
         problem: The vehicle.
@@ -184,7 +184,7 @@ def bounds_cell_by_cell(
     settled: VehicleBounds,
     lines: dict[str, StraightLines],
     layout: CellLayout,
-    room_factor: float,
+    inflation_factor: float,
 ) -> CellBounds | Obstacle:
     """Search for bounds that imply themselves in one cell after the other, the last one included.
 
@@ -193,9 +193,9 @@ def bounds_cell_by_cell(
         settled: Bounds of the settled vehicle, whose damping of drag is taken.
         lines: The straight lines of each channel.
         layout: The layout of the cells.
-        room_factor: Factor of the room that is left for the verifier.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
     """
-    search = cell_search(problem, settled.damping, lines, layout, room_factor)
+    search = cell_search(problem, settled.damping, lines, layout, inflation_factor)
     if search is None:
         return Obstacle.GAIN
     cells: list[Signals] = []
@@ -215,8 +215,8 @@ def bounds_cell_by_cell(
         return Obstacle.SLIDING
     assert rotors is not None
     totals, _ = vehicle_totals(search.nominal, cells[-1])
-    final = VehicleBounds(lines, settled.damping, cells[-1], rotors, totals)
-    return CellBounds(final, settled, layout.samples, cells[:-1])
+    final = VehicleBounds(lines=lines, damping=settled.damping, bounds=cells[-1], rotors=rotors, totals=totals)
+    return CellBounds(final=final, settled=settled, samples=layout.samples, cells=cells[:-1])
 
 
 def cell_search(
@@ -224,7 +224,7 @@ def cell_search(
     damping: Damping,
     lines: dict[str, StraightLines],
     layout: CellLayout,
-    room_factor: float,
+    inflation_factor: float,
 ) -> CellSearch | None:
     """Compute what the search in all cells has in common; None if a channel is unstable or its responses last too long.
 
@@ -245,7 +245,7 @@ def cell_search(
         series = channel_series(problem, channel, linear[name], lines[name], length, start_offsets)
         responses[name] = cell_responses(problem, name, response, series, layout)
     tables = {name: DeviationTable(problem, name, lines[name]) for name in CHANNELS}
-    return CellSearch(problem, damping, nominal, responses, tables, room_factor)
+    return CellSearch(problem, damping, nominal, responses, tables, inflation_factor)
 
 
 def cells_proof_of(problem: VehicleProblem, result: CellBounds) -> JsonObject:
@@ -316,7 +316,7 @@ def cell_fixed_point(
             rows = from_start[name] + input_effects(responses, inputs[name], sizes[name], is_last=is_last)
             point_bounds = rows.reshape(responses.response.gains.shape[:2])  # (points, signals)
             bounds = with_slopes(problem, responses.response, point_bounds, slopes[name])
-            implied[name] = {key: inflated_bound(key, bound, search.room_factor) for key, bound in bounds.items()}
+            implied[name] = {key: inflated_bound(key, bound, search.inflation_factor) for key, bound in bounds.items()}
         change = largest_change(y, implied)
         y = implied
         if change <= SETTLED:
@@ -325,7 +325,7 @@ def cell_fixed_point(
 
 
 def largest_change(before: Signals, after: Signals) -> float:
-    """The largest relative change of a bound."""
+    """Compute the largest relative change of a bound."""
     changes = []
     for name in CHANNELS:
         changes += [abs(bound / before[name][key] - 1.0) for key, bound in after[name].items()]
@@ -335,7 +335,7 @@ def largest_change(before: Signals, after: Signals) -> float:
 def input_effects(
     responses: CellResponses, inputs: list[np.ndarray], current: np.ndarray, *, is_last: bool
 ) -> np.ndarray:
-    """Bounds of what a channel's inputs in a cell and in the cells before cause in the cell, shape (rows,).
+    """Bound what a channel's inputs in a cell and in the cells before cause in the cell, shape (rows,).
 
     The input of the first cell acts from t = 0 on; its change from cell to cell acts from that cell on. A rise counts
     with an upper bound of the sum of effects, a fall with a lower bound.
@@ -364,7 +364,7 @@ def input_effects(
 
 
 def start_effects(search: CellSearch, name: str, cell: int) -> np.ndarray:
-    """Bounds of what the start and the constant |o| <= k g cause in a channel in one cell, shape (rows,).
+    """Bound what the start and the constant |o| <= k g cause in a channel in one cell, shape (rows,).
 
     Args:
         search: What the search in all cells has in common.

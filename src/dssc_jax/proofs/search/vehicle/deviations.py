@@ -36,11 +36,17 @@ class DeviationBounds(NamedTuple):
 
 
 class LargestGains(NamedTuple):
-    """The largest gains of a channel's controller in a region: K_P, K_I [1/s], and 1 + tau_av/T_s."""
+    """The largest gains of a channel's controller in a region.
+
+    Args:
+        k_p: K_P.
+        k_i: K_I [1/s].
+        equivalent_factor: 1 + tau_av/T_s, the factor of the gains in the equivalent control u_eq.
+    """
 
     k_p: float
     k_i: float
-    reach: float
+    equivalent_factor: float
 
 
 @dataclass(frozen=True)
@@ -54,13 +60,13 @@ class ChannelDeviations:
         lines: The straight lines, and the share s_q of the command's deviation that drives q.
         distance: D_1, D_2 and D_b, the largest deviations.
         ratio: d_1, d_2 and d_b, the largest deviations over |sigma|.
-        steepest: The largest gains in the region.
+        largest_gains: The largest gains in the region.
     """
 
     lines: StraightLines
     distance: DeviationBounds
     ratio: DeviationBounds
-    steepest: LargestGains
+    largest_gains: LargestGains
 
     def of_command(self, sigma: float) -> float:
         """Bound of |omega_u|, what the command deviates by, for |sigma| up to ``sigma``: min(D_b, d_b |sigma|)."""
@@ -91,7 +97,7 @@ class ChannelDeviations:
 
 
 def law_problem(problem: VehicleProblem, channel: ChannelProblem) -> ProofProblem:
-    """The problem of a single axis with a channel's controller, by which the gains of its functions are evaluated.
+    """Make a problem of a single axis with a channel's controller, by which the gains of its functions are evaluated.
 
     The gains do not depend on the plant, which is a double integrator without disturbance here.
     """
@@ -120,12 +126,12 @@ def law_problem(problem: VehicleProblem, channel: ChannelProblem) -> ProofProble
 
 
 def points_of(problem: VehicleProblem, name: str, sigma: float) -> GainPoints:
-    """The gains of a channel's functions at points with |sigma| up to ``sigma``; they do not depend on e."""
+    """Evaluate the gains of a channel's functions at points with |sigma| up to ``sigma``; they do not depend on e."""
     return gain_points(law_problem(problem, problem.channels[name]), max(sigma, SMALLEST_REGION), e=0.0)
 
 
 def best_lines(points: GainPoints, *, joint: bool) -> StraightLines:
-    """The straight lines nearest to phi_1 + n and to phi_2, and the share s_q with the smallest omega_r.
+    """Find the straight lines nearest to phi_1 + n and to phi_2, and the share s_q with the smallest omega_r.
 
     Only the sum k_1 + k_3 matters to omega_u. k_3 is the mean of n/sigma, and k_1 the sum less k_3.
 
@@ -141,11 +147,11 @@ def best_lines(points: GainPoints, *, joint: bool) -> StraightLines:
     k_2 = nearest_slope(size, phi_2_ratios)
     k_3 = float(np.mean(n_ratios))
     share = nearest_share(size, phi_2_ratios - k_2, command_ratios - command_slope) if joint else 0.0
-    return StraightLines(command_slope - k_3, k_2, k_3, share)
+    return StraightLines(k_1=command_slope - k_3, k_2=k_2, k_3=k_3, share=share)
 
 
 def nearest_share(size: np.ndarray, omega_q_ratios: np.ndarray, omega_u_ratios: np.ndarray) -> float:
-    """The share s_q for which the largest |omega_q - s_q omega_u| is smallest; that distance is convex in s_q.
+    """Find the share s_q for which the largest |omega_q - s_q omega_u| is smallest; that distance is convex in s_q.
 
     Args:
         size: |sigma| at points, shape (points,).
@@ -166,7 +172,7 @@ def nearest_share(size: np.ndarray, omega_q_ratios: np.ndarray, omega_u_ratios: 
 
 
 def nearest_slope(size: np.ndarray, ratios: np.ndarray) -> float:
-    """The slope k for which the largest |f - k sigma| is smallest, for a function f; that distance is convex in k.
+    """Find the slope k for which the largest |f - k sigma| is smallest, for a function f; that distance is convex in k.
 
     Args:
         size: |sigma| at points, shape (points,).
@@ -180,7 +186,7 @@ def nearest_slope(size: np.ndarray, ratios: np.ndarray) -> float:
 
 
 def minimiser(function: Callable[[float], float], low: float, high: float) -> float:
-    """The number between two ends at which a convex function is smallest, by Brent's method."""
+    """Find the number between two ends at which a convex function is smallest, by Brent's method."""
     minimum = minimize_scalar(function, bounds=(low, high), method="bounded")
     return float(minimum.x)
 
@@ -191,42 +197,43 @@ def largest_distance(size: np.ndarray, ratios: np.ndarray, slope: float) -> floa
 
 
 def deviations_of(points: GainPoints, lines: StraightLines) -> ChannelDeviations:
-    """Bounds of how far a channel's functions are from straight lines, over a region of |sigma|.
+    """Estimate from samples how far the functions of a channel deviate from straight lines, over a region of |sigma|.
+
+    The verifier checks the estimates.
 
     Args:
         points: The gains of the functions at points of the region.
         lines: The straight lines, and the share s_q.
     """
-    k_1, k_2, k_3, share = lines
     columns = points.columns
     size = np.abs(points.sigma)
     phi_1_ratios = columns["mean"]
     command_ratios = phi_1_ratios + columns["k_n"]  # (phi_1 + n)/sigma
-    integral_ratios = columns["k_i"] - share * command_ratios  # (phi_2 - s_q (phi_1 + n))/sigma
-    command_slope = k_1 + k_3
-    integral_slope = k_2 - share * command_slope
-    integral_room = SHARED_ROOM if share else 1.0
+    integral_ratios = columns["k_i"] - lines.share * command_ratios  # (phi_2 - s_q (phi_1 + n))/sigma
+    command_slope = lines.k_1 + lines.k_3
+    integral_slope = lines.k_2 - lines.share * command_slope
+    integral_room = SHARED_ROOM if lines.share else 1.0
     k_p = float(np.max(columns["k_p"]))
     return ChannelDeviations(
         lines=lines,
         distance=DeviationBounds(
-            phi_1=largest_distance(size, phi_1_ratios, k_1),
+            phi_1=largest_distance(size, phi_1_ratios, lines.k_1),
             omega_r=largest_distance(size, integral_ratios, integral_slope) * integral_room,
             omega_u=largest_distance(size, command_ratios, command_slope),
         ),
         ratio=DeviationBounds(
-            phi_1=largest_ratio(phi_1_ratios, k_1),
+            phi_1=largest_ratio(phi_1_ratios, lines.k_1),
             omega_r=largest_ratio(integral_ratios, integral_slope),
             omega_u=largest_ratio(command_ratios, command_slope),
         ),
-        steepest=LargestGains(
+        largest_gains=LargestGains(
             k_p=k_p,
             k_i=float(np.max(columns["k_i"])),
-            reach=float(np.max(columns["slide_p"])) / k_p,
+            equivalent_factor=float(np.max(columns["slide_p"])) / k_p,
         ),
     )
 
 
 def largest_ratio(ratios: np.ndarray, slope: float) -> float:
-    """The largest |f/sigma - slope| at points with f/sigma = ``ratios``, widened a little."""
+    """Compute the largest |f/sigma - slope| at points with f/sigma = ``ratios``, widened a little."""
     return RATIO_ROOM * float(np.max(np.abs(ratios - slope)))

@@ -59,16 +59,16 @@ def remainders_of(
     problem: VehicleProblem,
     bounds: Signals,
     damping: Damping,
-    earlier: Rotors | None = None,
+    earlier_rotors: Rotors | None = None,
     couplings: Couplings | None = None,
 ) -> Remainders:
-    """Bounds of the remainders and of the rotors, while the signals are within their bounds.
+    """Bound the remainders and the rotors, while the signals are within their bounds.
 
     Args:
         problem: The vehicle.
         bounds: Bounds of the vehicle's signals, in a cell of time.
         damping: Damping of drag.
-        earlier: Bounds of the rotors in the cells before; None in the first one.
+        earlier_rotors: Bounds of the rotors in the cells before; None in the first one.
         couplings: Bounds of the couplings; None: the vehicle hovers.
 
     Raises:
@@ -76,9 +76,9 @@ def remainders_of(
     """
     attitude = attitude_of(problem, bounds)
     moments = moments_of(problem, attitude)
-    rotors = rotors_of(problem, bounds, attitude, moments, earlier)
+    rotors = rotors_of(problem, bounds, attitude, moments, earlier_rotors)
     drag = drag_of(problem, bounds, attitude, rotors, damping)
-    if problem.rotor_lag:
+    if problem.rotor_lag:  # then the vehicle hovers, and there are no couplings
         torques = torques_with_lag(problem, bounds, attitude, drag)
     else:
         torques = torques_without_lag(problem, bounds, attitude, drag, couplings)
@@ -167,7 +167,7 @@ def coupled_torque(problem: VehicleProblem, bounds: Signals, attitude: Attitude,
 def torques_without_lag(
     problem: VehicleProblem, bounds: Signals, attitude: Attitude, drag: DragBounds, couplings: Couplings | None
 ) -> Torques:
-    """The torques without a rotor lag.
+    """Bound the torques without a rotor lag.
 
     m_h and m_z bound how far the body's angular acceleration is from the wanted one, across and along body z [rad/s^2].
     """
@@ -190,7 +190,7 @@ def torques_without_lag(
 
 
 def torques_with_lag(problem: VehicleProblem, bounds: Signals, attitude: Attitude, drag: DragBounds) -> Torques:
-    """The torques with a rotor lag.
+    """Bound the torques with a rotor lag.
 
     mu_h and mu_z bound mu, the angular acceleration that the rotors achieve as the inner loops believe. m_h and m_z
     bound how far the body's true one is from it. Each is across and along body z [rad/s^2].

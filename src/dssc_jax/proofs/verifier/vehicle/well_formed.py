@@ -147,7 +147,7 @@ def require_proof(problem: VehicleProblem, content: object) -> None:
         settled = require_entries(proof["settled"], set(CHANNELS), "proof.settled")
         for name in CHANNELS:
             middle = require_entries(settled[name], MiddleProof.__required_keys__, f"settled {name}")
-            require_middle(problem, name, middle)
+            require_linear_channel(problem, name, middle)
 
 
 def require_cells(problem: VehicleProblem, content: object) -> None:
@@ -167,7 +167,7 @@ def require_cells(problem: VehicleProblem, content: object) -> None:
 
 
 def require_channel_proof(problem: VehicleProblem, name: str, content: object) -> None:
-    """Reject a channel's proof without an admissible linear channel, or without a positive bound of each signal.
+    """Check that a channel's proof gives an admissible linear channel and a positive bound for every signal.
 
     Args:
         problem: The problem, which tells the channel's signals.
@@ -178,13 +178,13 @@ def require_channel_proof(problem: VehicleProblem, name: str, content: object) -
         Rejected: An entry is missing, unknown or not admissible.
     """
     proof: dict[str, Any] = require_entries(content, ChannelProof.__required_keys__, f"proof of {name}")
-    require_middle(problem, name, proof)
+    require_linear_channel(problem, name, proof)
     names = signal_names(name, lagging=problem["rotor_lag"] > 0)
     for signal, bound in require_entries(proof["bounds"], names, f"{name}.bounds").items():
         require_positive(bound, f"{name}.{signal}")
 
 
-def require_middle(problem: VehicleProblem, name: str, proof: dict[str, Any]) -> None:
+def require_linear_channel(problem: VehicleProblem, name: str, proof: dict[str, Any]) -> None:
     """Reject anything but slopes, share, damping, lambda and P of a linear channel, whose P has the size of z."""
     require_numbers(proof["slopes"], 3, f"{name}.slopes")
     require_finite(proof["share"], f"{name}.share")
