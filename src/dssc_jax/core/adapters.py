@@ -10,6 +10,7 @@ from dssc_jax.core.default_functions import unchanged_params
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.sampled_linear import Forcing, LinearSystem, hold
 from dssc_jax.core.signals import (
+    LastChange,
     Measurement,
     Measurements,
     Params,
@@ -86,7 +87,12 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
 
 def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[ReferencePoints]:
     """Adapt a reference with one channel to the interface of several: its point becomes a tuple of one point."""
-    return Reference(reference.params, lambda params, t: (reference.at(params, t),), reference.prepare)
+    return Reference(
+        params=reference.params,
+        at=lambda params, t: (reference.at(params, t),),
+        prepare=reference.prepare,
+        last_change=reference.last_change,
+    )
 
 
 def with_channel_count(reference: Reference[ReferencePoints], count: int) -> Reference[ReferencePoints]:
@@ -129,7 +135,17 @@ def replace_channels(
             points[index] = reference.at(channel_params, t)
         return tuple(points)
 
-    return Reference(ReplacedParams, at)
+    joint_change = latest_change([joint, *replacements.values()])
+    last_change = joint_change and (lambda params: joint_change((params.joint, *params.replacements)))
+    return Reference(ReplacedParams, at, last_change=last_change)
+
+
+def latest_change(parts: Sequence[Reference | Wind | Disturbance]) -> LastChange | None:
+    """Return the last change of several parts, whose parameters are a tuple; None if one of them declares none."""
+    changes = [part.last_change for part in parts if part.last_change is not None]
+    if len(changes) < len(parts):
+        return None
+    return lambda params: max(change(values) for change, values in zip(changes, params, strict=True))
 
 
 def separate_init(parts: Sequence[Wind | Disturbance]) -> Callable[[tuple[Params, ...], jax.Array], tuple[State, ...]]:
@@ -198,7 +214,15 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
     has_bounds = all(wind.bounds is not None for wind in parts)
     init = separate_init(parts)
     step = separate_step(parts)
-    return Wind(NoParams, init, step, value, bounds=bounds if has_bounds else None, mean=mean)
+    return Wind(
+        params=NoParams,
+        init=init,
+        step=step,
+        value=value,
+        bounds=bounds if has_bounds else None,
+        mean=mean,
+        last_change=latest_change(parts),
+    )
 
 
 def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
@@ -224,7 +248,15 @@ def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
     smooth = SMOOTH if all(part.smooth == SMOOTH for part in parts) else None
     init = separate_init(parts)
     step = separate_step(parts)
-    return Disturbance(NoParams, init, step, value, variation=variation, smooth=smooth)
+    return Disturbance(
+        params=NoParams,
+        init=init,
+        step=step,
+        value=value,
+        variation=variation,
+        smooth=smooth,
+        last_change=latest_change(parts),
+    )
 
 
 def static_unmodelled(

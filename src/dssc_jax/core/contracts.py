@@ -31,6 +31,7 @@ from dssc_jax.core.setting import LoopSetting
 from dssc_jax.core.signals import (
     Command,
     Info,
+    LastChange,
     Measurement,
     Measurements,
     Params,
@@ -86,8 +87,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
             where it adds nothing. None: the plant is linear.
         onboard: Names, in words, of the parts of the plant that are software of the vehicle; the generated code of the
             controllers does not contain them.
-        smooth: Where the part has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the
-            loop refuse it.
+        smooth: Where the part has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
         info: NamedTuple type of what ``monitor`` reports. Fields annotated with a ``Quantity`` have its unit and
             meaning in trajectories; the others have none.
         outputs: ``(params) -> signals`` that ``monitor`` reports, for a plant whose table names them; None: the fields
@@ -173,8 +173,7 @@ class Controller(NamedTuple):
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         transfer: ``(gains, measurement, reference, command, dt) -> state`` for a bumpless start: the first step from
             this state gives ``command``. None: the controller has no such state.
-        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the loop
-            refuse it.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
         synthesised: ``(gains) -> (K_P, K_I)`` of the law u = -K_P sigma - K_I int sigma (22) near the origin; None: the
             controller synthesises no such law.
         describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
@@ -240,6 +239,7 @@ class Reference(NamedTuple, Generic[Desired]):
             None: 0.
         of_angle: The reference for an output that is an angle, such as one that takes the shorter way from value to
             value; None: the same for all outputs.
+        last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
     """
 
     params: type
@@ -248,6 +248,7 @@ class Reference(NamedTuple, Generic[Desired]):
     defaults: Params = None
     level: Callable[[Params], Scalar] | None = None
     of_angle: "Reference[Desired] | None" = None
+    last_change: LastChange | None = None
 
 
 class Variation(StrEnum):
@@ -271,8 +272,8 @@ class Disturbance(NamedTuple):
         value: ``(params, state, measurement, sigma, t) -> d``, evaluated in every stage of the integrator.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         variation: Variables on which ``value`` depends within a sample.
-        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the loop
-            refuse it.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
+        last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
     """
 
     params: type
@@ -282,6 +283,7 @@ class Disturbance(NamedTuple):
     prepare: Callable[[Params], Params] = unchanged_params
     variation: Variation = Variation.STATE
     smooth: Declaration = None
+    last_change: LastChange | None = None
 
 
 class Sensor(NamedTuple):
@@ -292,8 +294,7 @@ class Sensor(NamedTuple):
         init: ``(params, measurement, key) -> state`` from the first true measurement.
         step: ``(params, state, measurement, key, t, dt) -> (state, measurement)`` at each sample.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
-        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the loop
-            refuse it.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
         transparent: ``(params) -> bool``: whether it passes y and y' on at once, but for noise, constant errors and
             rounding. The continuous-time analysis leaves a sensor out, and says so of one that is not transparent.
         resolution: ``(params) -> step`` of which its readings of y are multiples, or None; None: it rounds none.
@@ -316,8 +317,7 @@ class Differentiator(NamedTuple):
         init: ``(params, measurement) -> state`` from the first measurement; of it only y may be used.
         step: ``(params, state, measurement, dt) -> (state, measurement)`` at each sample.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
-        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the loop
-            refuse it.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
         transparent: ``(params) -> bool``: whether it passes y and y' on at once. The continuous-time analysis leaves a
             differentiator out, and says so of one that is not transparent.
     """
@@ -360,8 +360,7 @@ class Unmodelled(NamedTuple):
         linear: ``(params) -> LinearSystem`` from the command to the output; its state lists the leaves of ``state``.
         held: Whether the output is constant from one sample to the next, and ``step`` changes nothing.
         moments: ``(params, state, command, dt) -> Moments`` of the output over dt; None: by Simpson's rule.
-        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the loop
-            refuse it.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
         continuous: Whether the slope of ``step`` at dt = 0 is the derivative of a model in continuous time.
         time_constant: Name of the parameter that scales all their times, such as mu of a lag; the theory predicts
             oscillations as a function of it. Empty: no parameter does so.

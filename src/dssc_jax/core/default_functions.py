@@ -58,3 +58,8 @@ def always(params: Params) -> bool:
 def never(params: Params) -> bool:
     """False for all parameters."""
     return False
+
+
+def unchanging(params: Params) -> float:
+    """The last change of a signal that does the same at all times, but for the times declared as ``begins`` [s]."""
+    return 0.0

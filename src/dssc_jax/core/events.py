@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from dssc_jax.core.contracts import Sensor, Unmodelled
 from dssc_jax.core.default_functions import unchanged_params
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Params, Scalar
+from dssc_jax.core.signals import LastChange, Params, Scalar
 from dssc_jax.core.vectors import Vec3
 
 AT = Quantity("s", "time of the event", at_least=0.0, begins=True)
@@ -77,12 +77,14 @@ class VehicleEvent(NamedTuple):
             happened, ``rotors`` is the number of rotors.
         changes: Name, in words, of the number of the loop that the event changes.
         prepare: ``(params) -> params`` before tracing; raises ConfigError.
+        last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
     """
 
     params: type
     change: Callable[[Params, Condition, Scalar, int], Condition]
     changes: str
     prepare: Callable[[Params], Params] = unchanged_params
+    last_change: LastChange | None = None
 
 
 class SensorEvent(NamedTuple):
@@ -93,12 +95,14 @@ class SensorEvent(NamedTuple):
         wrap: ``(sensor) -> sensor`` with the event, whose parameters are :class:`Wrapped`.
         changes: Name, in words, of the number of the loop that the event changes.
         prepare: ``(params) -> params`` before tracing; raises ConfigError.
+        last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
     """
 
     params: type
     wrap: Callable[[Sensor], Sensor]
     changes: str
     prepare: Callable[[Params], Params] = unchanged_params
+    last_change: LastChange | None = None
 
 
 class CommandEvent(NamedTuple):
@@ -109,12 +113,14 @@ class CommandEvent(NamedTuple):
         model: Unmodelled dynamics with the event, in series with the study's own.
         changes: Name, in words, of the number of the loop that the event changes.
         prepare: ``(params) -> params`` before tracing; raises ConfigError.
+        last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
     """
 
     params: type
     model: Unmodelled
     changes: str
     prepare: Callable[[Params], Params] = unchanged_params
+    last_change: LastChange | None = None
 
 
 class Wrapped(NamedTuple):
@@ -125,6 +131,11 @@ class Wrapped(NamedTuple):
 
 
 AnyEvent = VehicleEvent | SensorEvent | CommandEvent
+
+
+def rise_end(params: Params) -> float:
+    """Return the time at which an event has fully set in [s]; 0 if it does so at once."""
+    return 0.0 if params.rise is None else params.at + params.rise
 
 
 def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:

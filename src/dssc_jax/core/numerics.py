@@ -291,6 +291,17 @@ def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
     return total
 
 
+def spline_end(at: float, interval: float, knots: int) -> float:
+    """Return the time at which a cubic spline is 0 again: two intervals after its last knot.
+
+    Args:
+        at: Time of the first knot [s].
+        interval: Time between two knots [s].
+        knots: Number of knots.
+    """
+    return at + (knots + 1) * interval
+
+
 def uniforms(key: jax.Array, count: int) -> tuple[Scalar, ...]:
     """Independent random numbers, uniform in [0, 1).
 

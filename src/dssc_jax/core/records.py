@@ -116,6 +116,11 @@ def cubic_pieces(time: Values, value: Values, rule: Interpolation) -> Pieces:
     return Pieces(times, np.concatenate([before[None], RULES[rule](times, values), after[None]]))
 
 
+def last_time(pieces: Pieces) -> float:
+    """Return the time from which a record keeps its last value [s]."""
+    return float(pieces.begins[-1])
+
+
 def columns_as_pieces(time: Values, columns: dict[str, Values], rule: Interpolation) -> tuple[Pieces, ...]:
     """The piecewise cubic through each of several columns with the same times.
 

@@ -17,6 +17,11 @@ State: TypeAlias = Any
 
 Info: TypeAlias = Any
 
+LastChange: TypeAlias = Callable[[Params], Scalar]
+"""``(params) -> t``: time from which a signal does nothing that it has not done before [s], besides what begins at the
+times that its parameters declare by ``begins``. ``params`` has the largest value of each number. math.inf: it changes
+again and again. Noise does the same at all times."""
+
 ProgressCallback: TypeAlias = Callable[[int, int | None], None]
 """Called with the number of finished lanes or steps and the total number; None: the total is not known."""
 

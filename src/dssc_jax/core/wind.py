@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 
 from dssc_jax.core.default_functions import unchanged_params
-from dssc_jax.core.signals import Params, Scalar, State
+from dssc_jax.core.signals import LastChange, Params, Scalar, State
 from dssc_jax.core.vectors import Vec3
 
 
@@ -37,6 +37,7 @@ class Wind(NamedTuple):
         bounds: ``(params) -> WindBounds`` of prepared parameters without laws; None: no bound is known.
         mean: ``(params, dt) -> Vec3``: the expected wind over the first sample, of length dt; None: the wind has no
             random numbers, so its value is its mean.
+        last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
     """
 
     params: type
@@ -46,6 +47,7 @@ class Wind(NamedTuple):
     prepare: Callable[[Params], Params] = unchanged_params
     bounds: Callable[[Params], WindBounds] | None = None
     mean: Callable[[Params, Scalar], Vec3] | None = None
+    last_change: LastChange | None = None
 
     def at_start(self, params: Params, dt: Scalar) -> Vec3:
         """The expected wind over the first sample, of length dt [m/s]."""

@@ -22,6 +22,7 @@ from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.actuators import require_one_form
 from dssc_jax.study.available_metrics import AvailableMetrics, available_metrics, metric_kinds
 from dssc_jax.study.components import as_table
+from dssc_jax.study.events import EVENT, parse_events
 from dssc_jax.study.laws import nominal_params
 from dssc_jax.study.measuring import parse_measures
 from dssc_jax.study.numbers import Number, merge_numbers, parameter_numbers
@@ -29,7 +30,11 @@ from dssc_jax.study.parameters import TEXTS, ParameterTable
 from dssc_jax.study.parts import parse_parts
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.sections import FIXED_TABLES, with_section
-from dssc_jax.study.settled_checks import require_changes_before_settling, require_whole_windows
+from dssc_jax.study.settled_checks import (
+    require_changes_before_settling,
+    require_seen_signals,
+    require_whole_windows,
+)
 from dssc_jax.study.slots import TABLES
 from dssc_jax.study.sweeps import check_axes, check_swept_parts
 from dssc_jax.study.table_errors import first_error
@@ -129,6 +134,8 @@ def parse_content(table: TomlTable) -> StudyContent:
     check_swept_parts(table, config, loop, parts.measurable, numbers)
     require_whole_windows(loop, measures, config.envelope)
     require_changes_before_settling(config, numbers)
+    events = parse_events(parameters.resolved(config.event, EVENT), loop.channels)
+    require_seen_signals(config, loop, template, numbers, events)
     return StudyContent(
         config=config,
         loop=loop,

@@ -1,13 +1,20 @@
 """Checks of a study whose draws end early once they have settled, by ``[loop.settled]``."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
-from dssc_jax.closed_loop.loop import Loop, Settled
+from jax.tree_util import keystr, tree_flatten_with_path
+
+from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
 from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.closed_loop.metrics.window import first_sample
+from dssc_jax.core.contracts import Disturbance, Reference
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.events import AnyEvent
 from dssc_jax.core.quantities import extent
+from dssc_jax.core.signals import Params
+from dssc_jax.core.wind import Wind
+from dssc_jax.study.events import StudyEvent
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.schema import EnvelopeTable, StudyTable
 
@@ -63,6 +70,76 @@ def require_within_band(settled: Settled, metric: str, band: float) -> None:
         rule = f"must be <= {band:g}, the band of {metric}, outside of which a draw would end"
         remedy = "lower it, raise the metric's settling_band, or list metrics.names without that metric"
         raise ConfigError("loop.settled.error", f"{rule}; got {settled.error:g}. Remedy: {remedy}")
+
+
+def require_seen_signals(
+    config: StudyTable, loop: Loop, template: LoopParams, numbers: Mapping[str, Number], events: Sequence[StudyEvent]
+) -> None:
+    """Require that no reference, wind, disturbance or event does anything new after a draw may have ended as settled.
+
+    Args:
+        config: Fixed tables of the study.
+        loop: The loop.
+        template: Parameters of its parts, with laws.
+        numbers: Numbers of the loop by name.
+        events: Events of the study.
+
+    Raises:
+        ConfigError: One may, or does not declare when it last changes.
+    """
+    if config.loop.settled is None:
+        return
+    params = with_largest_values(config, template, numbers.values())
+    require_seen("reference", loop.reference, params.reference, config)
+    require_seen("wind", loop.wind, params.wind, config)
+    for model, values in zip(loop.disturbance, params.disturbance, strict=True):
+        require_seen("disturbance", model, values, config)
+    for name, model, values in zip(loop.input_names, loop.inputs, params.inputs, strict=True):
+        require_seen(f"disturbance.{name}", model, values, config)
+    for event in events:
+        part = event.under("params")
+        require_seen(
+            event.path, part.model, with_largest_values(config, {"params": part.params}, part.numbers)["params"], config
+        )
+
+
+def with_largest_values(config: StudyTable, template: Params, numbers: Iterable[Number]) -> Params:
+    """Replace each number in the parameters of parts by its largest value, over its law and over the sweep."""
+    largest_values = {}
+    for number in numbers:
+        _, largest = extent(number.value)
+        for path in number.paths:
+            largest_values[path] = max(config.sweep.get(number.name, (largest,)))
+    leaves, structure = tree_flatten_with_path(template)
+    values = [largest_values.get(keystr(path, simple=True, separator="."), leaf) for path, leaf in leaves]
+    return structure.unflatten(values)
+
+
+def require_seen(
+    table: str, model: Reference | Wind | Disturbance | AnyEvent, params: Params, config: StudyTable
+) -> None:
+    """Require that a signal does nothing new after a draw may have ended as settled.
+
+    Args:
+        table: Name of its table in the study.
+        model: The signal.
+        params: Its parameters, each with its largest value.
+        config: Fixed tables of the study, with the rule that ends a draw.
+
+    Raises:
+        ConfigError: It may, or does not declare when it last changes.
+    """
+    settled = config.loop.settled
+    assert settled is not None
+    remedy = "a draw that ends as settled before it would never show it"
+    if model.last_change is None:
+        raise ConfigError("loop.settled", f"[{table}] does not declare its last_change, and {remedy}; take it out")
+    latest = float(model.last_change(params))
+    if math.isinf(latest):
+        raise ConfigError("loop.settled", f"[{table}] may do something new at any time, and {remedy}; take it out")
+    if min(latest, config.loop.duration) > settled.after:
+        rule = f"must be >= {min(latest, config.loop.duration):g} s, up to which [{table}] does something new"
+        raise ConfigError("loop.settled.after", f"{rule}: {remedy}; got {settled.after:g}")
 
 
 def require_changes_before_settling(config: StudyTable, numbers: Mapping[str, Number]) -> None:

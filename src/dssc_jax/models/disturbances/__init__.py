@@ -1,7 +1,7 @@
 """Registry of matched disturbances d(y, y', t), added to the plant's command (7); a family is one file."""
 
 from dssc_jax.core.contracts import Disturbance, NoParams, Variation
-from dssc_jax.core.default_functions import stateless, unchanged
+from dssc_jax.core.default_functions import stateless, unchanged, unchanging
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.models.disturbances.noise import FILTERED_NOISE
@@ -16,6 +16,7 @@ NO_DISTURBANCE = Disturbance(
     lambda params, state, measurement, sigma, t: 0.0,
     variation=Variation.HELD,
     smooth=SMOOTH,
+    last_change=unchanging,
 )
 
 DISTURBANCES: Registry = {

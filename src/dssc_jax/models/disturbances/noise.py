@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Disturbance, Variation
+from dssc_jax.core.default_functions import unchanging
 from dssc_jax.core.numerics import standard_normal
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
@@ -38,4 +39,12 @@ def noise_step(params: NoiseParams, state: Scalar, key: jax.Array, t: Scalar, dt
     return decay * state + spread * standard_normal(key)
 
 
-FILTERED_NOISE = Disturbance(NoiseParams, noise_init, noise_step, held_value, variation=Variation.HELD, smooth=SMOOTH)
+FILTERED_NOISE = Disturbance(
+    params=NoiseParams,
+    init=noise_init,
+    step=noise_step,
+    value=held_value,
+    variation=Variation.HELD,
+    smooth=SMOOTH,
+    last_change=unchanging,
+)

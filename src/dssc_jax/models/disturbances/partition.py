@@ -58,4 +58,5 @@ PARTITION = Disturbance(
     partition_value,
     variation=Variation.STATE,
     smooth=piecewise("the kinks of its bounds at y = 0 and y' = 0"),
+    last_change=lambda params: params.period,
 )

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Disturbance, Variation
-from dssc_jax.core.default_functions import stateless, unchanged
+from dssc_jax.core.default_functions import stateless, unchanged, unchanging
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import cubic_spline, elapsed_share
+from dssc_jax.core.numerics import cubic_spline, elapsed_share, spline_end
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, Params, Scalar, State
 from dssc_jax.core.smoothness import SMOOTH
@@ -93,11 +93,33 @@ CONSTANT = Disturbance(
     lambda params, state, measurement, sigma, t: params.value,
     variation=Variation.HELD,
     smooth=SMOOTH,
+    last_change=unchanging,
 )
-STEP = Disturbance(StepParams, lambda params, key: 0.0, step_mean, held_value, variation=Variation.HELD, smooth=SMOOTH)
+STEP = Disturbance(
+    params=StepParams,
+    init=lambda params, key: 0.0,
+    step=step_mean,
+    value=held_value,
+    variation=Variation.HELD,
+    smooth=SMOOTH,
+    last_change=unchanging,
+)
 SINE_DISTURBANCE = Disturbance(
-    SineDisturbanceParams, stateless, unchanged, sine_value, variation=Variation.TIME, smooth=SMOOTH
+    params=SineDisturbanceParams,
+    init=stateless,
+    step=unchanged,
+    value=sine_value,
+    variation=Variation.TIME,
+    smooth=SMOOTH,
+    last_change=lambda params: params.period,
 )
 SPLINE = Disturbance(
-    SplineParams, stateless, unchanged, spline_value, check_knots, variation=Variation.TIME, smooth=SMOOTH
+    params=SplineParams,
+    init=stateless,
+    step=unchanged,
+    value=spline_value,
+    prepare=check_knots,
+    variation=Variation.TIME,
+    smooth=SMOOTH,
+    last_change=lambda params: spline_end(params.at, params.interval, len(params.knots)),
 )

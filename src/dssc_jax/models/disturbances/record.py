@@ -19,6 +19,7 @@ from dssc_jax.core.records import (
     cubic_pieces,
     held_mean,
     held_record,
+    last_time,
     piece_at,
 )
 from dssc_jax.core.registry import Entry
@@ -56,6 +57,7 @@ def recorded_disturbance(rule: Interpolation) -> Disturbance:
             value=lambda record, state, measurement, sigma, t: state,
             prepare=lambda params: held_record(prepare(params)),
             smooth=SMOOTH,
+            last_change=lambda record: last_time(record.pieces),
         )
     return Disturbance(
         params=RecordedDisturbanceParams,
@@ -64,6 +66,7 @@ def recorded_disturbance(rule: Interpolation) -> Disturbance:
         value=lambda pieces, state, measurement, sigma, t: piece_at(pieces, t).y,
         prepare=prepare,
         smooth=SMOOTH,
+        last_change=last_time,
     )
 
 

@@ -3,6 +3,7 @@
 In units, u stands for the unit of the command.
 """
 
+import math
 from typing import Annotated, NamedTuple
 
 import jax
@@ -76,4 +77,5 @@ GROWING_DELAY = CommandEvent(
     ),
     "the delay of the commands",
     prepare,
+    last_change=lambda params: math.inf,  # it grows as slowly as its rate wants
 )

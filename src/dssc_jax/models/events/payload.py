@@ -2,6 +2,7 @@
 
 from typing import Annotated, NamedTuple
 
+from dssc_jax.core.default_functions import unchanging
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.events import AT, UNTIL, Condition, Load, VehicleEvent
 from dssc_jax.core.quantities import Quantity
@@ -57,4 +58,4 @@ def change(params: PayloadParams, condition: Condition, share: Scalar, rotors: i
     return condition._replace(load=load)
 
 
-PAYLOAD = VehicleEvent(PayloadParams, change, "mass, centre of mass and inertia", prepare)
+PAYLOAD = VehicleEvent(PayloadParams, change, "mass, centre of mass and inertia", prepare, last_change=unchanging)

@@ -4,6 +4,7 @@ from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
+from dssc_jax.core.default_functions import unchanging
 from dssc_jax.core.events import AT, UNTIL, Condition, VehicleEvent
 from dssc_jax.core.numerics import is_known
 from dssc_jax.core.quantities import Quantity
@@ -42,4 +43,4 @@ def change(params: RotorParams, condition: Condition, share: Scalar, rotors: int
     return condition._replace(effectiveness=tuple(effectiveness))
 
 
-ROTOR = VehicleEvent(RotorParams, change, "the thrust of a rotor")
+ROTOR = VehicleEvent(RotorParams, change, "the thrust of a rotor", last_change=unchanging)

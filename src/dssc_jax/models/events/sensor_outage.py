@@ -56,4 +56,6 @@ def wrap(sensor: Sensor) -> Sensor:
     return Sensor(Wrapped, init, step, resolution=resolution)
 
 
-SENSOR_OUTAGE = SensorEvent(OutageParams, wrap, "the reading of a sensor")
+SENSOR_OUTAGE = SensorEvent(
+    OutageParams, wrap, "the reading of a sensor", last_change=lambda params: params.at + params.duration
+)

@@ -2,7 +2,7 @@
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.events import AT, UNTIL, Condition, VehicleEvent
+from dssc_jax.core.events import AT, UNTIL, Condition, VehicleEvent, rise_end
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 
@@ -32,4 +32,4 @@ def change(params: SagParams, condition: Condition, share: Scalar, rotors: int) 
     return condition._replace(voltage=remaining if earlier is None else earlier * remaining)
 
 
-VOLTAGE_SAG = VehicleEvent(SagParams, change, "the voltage of all rotors")
+VOLTAGE_SAG = VehicleEvent(SagParams, change, "the voltage of all rotors", last_change=rise_end)

@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.events import AT, UNTIL, Condition, Shear, VehicleEvent
+from dssc_jax.core.events import AT, UNTIL, Condition, Shear, VehicleEvent, rise_end
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
@@ -32,4 +32,4 @@ def change(params: ShearParams, condition: Condition, share: Scalar, rotors: int
     return condition._replace(shears=(*condition.shears, shear))
 
 
-WIND_SHEAR = VehicleEvent(ShearParams, change, "the wind over height", prepare)
+WIND_SHEAR = VehicleEvent(ShearParams, change, "the wind over height", prepare, last_change=rise_end)

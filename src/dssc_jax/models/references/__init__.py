@@ -1,6 +1,7 @@
 """Registries of references: REFERENCES of one channel, TRAJECTORIES of the vehicle; a family is one file."""
 
 from dssc_jax.core.contracts import NoParams, Reference
+from dssc_jax.core.default_functions import unchanging
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.signals import ReferencePoint
 from dssc_jax.models.references.chirp import CHIRP
@@ -11,7 +12,7 @@ from dssc_jax.models.references.sine import MISSION_ENTRY, SINE
 from dssc_jax.models.references.steps import PULSES, RAMP_REFERENCE, STEP_REFERENCE
 from dssc_jax.models.references.waypoints import SOCCER_FIELD, WAYPOINTS
 
-ZERO = Reference(NoParams, lambda params, t: ReferencePoint(0.0, 0.0, 0.0))
+ZERO = Reference(NoParams, lambda params, t: ReferencePoint(0.0, 0.0, 0.0), last_change=unchanging)
 
 REFERENCES: Registry = {
     "zero": single(ZERO, "regulation to the origin"),

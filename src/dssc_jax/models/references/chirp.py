@@ -83,7 +83,7 @@ def chirp(spacing: Spacing) -> Reference:
         cosine = amplitude * jnp.cos(angle)
         return ReferencePoint(params.offset + sine, rate * cosine, sweep * cosine - rate * rate * sine)
 
-    return Reference(ChirpParams, at, level=lambda params: params.offset)
+    return Reference(ChirpParams, at, level=lambda params: params.offset, last_change=lambda params: math.inf)
 
 
 CHIRP = Entry(

@@ -5,6 +5,7 @@ from typing import Annotated, NamedTuple, TypeAlias, TypeVar
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import NoParams, Reference
+from dssc_jax.core.default_functions import unchanging
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ReferencePoint, Scalar
@@ -58,6 +59,14 @@ def whole_mission(params: NoParams, t: Scalar) -> Flight:
     return x, y, z, psi
 
 
-WHOLE_MISSION = Reference(NoParams, whole_mission)
-HOVER = Reference(HoverParams, lambda params, t: fixed_point(params.position, params.yaw), require_place_in_space)
-STEPS = Reference(StepsParams, steps_at, require_place_in_space)
+MISSION_PERIOD = float(max(axis.period for axis in MISSION.values()))
+"""The longest period of the mission's axes [s]."""
+
+WHOLE_MISSION = Reference(NoParams, whole_mission, last_change=lambda params: MISSION_PERIOD)
+HOVER = Reference(
+    params=HoverParams,
+    at=lambda params, t: fixed_point(params.position, params.yaw),
+    prepare=require_place_in_space,
+    last_change=unchanging,
+)
+STEPS = Reference(StepsParams, steps_at, require_place_in_space, last_change=unchanging)

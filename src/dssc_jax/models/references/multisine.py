@@ -62,4 +62,10 @@ def prepare_multisine(params: MultisineParams) -> MultisineParams:
     return params._replace(phases=phases)
 
 
-MULTISINE = Reference(MultisineParams, multisine_at, prepare_multisine, level=lambda params: params.offset)
+MULTISINE = Reference(
+    params=MultisineParams,
+    at=multisine_at,
+    prepare=prepare_multisine,
+    level=lambda params: params.offset,
+    last_change=lambda params: math.inf,  # its sines may add up at any time
+)

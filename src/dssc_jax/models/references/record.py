@@ -10,7 +10,7 @@ import numpy as np
 from dssc_jax.core.contracts import Reference
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.records import TIMES, Interpolation, Pieces, Values, cubic_pieces, piece_at
+from dssc_jax.core.records import TIMES, Interpolation, Pieces, Values, cubic_pieces, last_time, piece_at
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import ReferencePoint, Scalar
 
@@ -69,6 +69,13 @@ def record_at(pieces: Pieces | RatedPieces, t: Scalar) -> ReferencePoint:
     return piece_at(pieces, t)
 
 
+def record_end(pieces: Pieces | RatedPieces) -> float:
+    """Return the time from which value and rate stay [s]."""
+    if isinstance(pieces, RatedPieces):
+        return max(last_time(pieces.value), last_time(pieces.rate))
+    return last_time(pieces)
+
+
 def unwrapped(params: RecordParams) -> RecordParams:
     """The record of an angle with whole turns added, so that it goes from value to value by the shorter way."""
     return params._replace(value=tuple(np.unwrap(np.array(params.value, float)).tolist()))
@@ -76,8 +83,9 @@ def unwrapped(params: RecordParams) -> RecordParams:
 
 def record(rule: Interpolation) -> Reference:
     """Make the reference that interpolates a record by a rule; an angle takes the shorter way between values."""
-    of_angle = Reference(RecordParams, record_at, lambda params: record_pieces(unwrapped(params), rule))
-    return Reference(RecordParams, record_at, lambda params: record_pieces(params, rule), of_angle=of_angle)
+    plain = Reference(RecordParams, record_at, lambda params: record_pieces(params, rule), last_change=record_end)
+    of_angle = plain._replace(prepare=lambda params: record_pieces(unwrapped(params), rule))
+    return plain._replace(of_angle=of_angle)
 
 
 RECORD = Entry(

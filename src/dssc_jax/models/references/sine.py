@@ -53,8 +53,12 @@ MISSION = {
 
 def mission(axis: Axis) -> Reference:
     """Make the reference of one axis of the article's mission, which has no parameters."""
-    return Reference(NoParams, lambda params, t: sine_at(MISSION[axis], t))
+    return Reference(
+        params=NoParams,
+        at=lambda params, t: sine_at(MISSION[axis], t),
+        last_change=lambda params: float(MISSION[axis].period),
+    )
 
 
-SINE = Reference(SineParams, sine_at, level=lambda params: params.offset)
+SINE = Reference(SineParams, sine_at, level=lambda params: params.offset, last_change=lambda params: params.period)
 MISSION_ENTRY = Entry({axis: mission(axis) for axis in Axis}, "one axis of the article's mission", "axis", Axis.X)

@@ -328,4 +328,4 @@ SOCCER_FIELD = WaypointParams(
 )
 """Invented waypoints, not the field test's: a lap of a 105 m by 68 m field, a smaller one, a diagonal, at 5 to 8 m."""
 
-WAYPOINTS = Reference(WaypointParams, at, curve)
+WAYPOINTS = Reference(WaypointParams, at, curve, last_change=lambda flown: float(flown.duration))

@@ -1,7 +1,7 @@
 """Registry of winds: velocity of the air in the inertial frame, z up; a family is one file."""
 
 from dssc_jax.core.contracts import NoParams
-from dssc_jax.core.default_functions import stateless, unchanged
+from dssc_jax.core.default_functions import stateless, unchanged, unchanging
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.core.wind import Wind, WindBounds
@@ -16,6 +16,7 @@ NO_WIND = Wind(
     unchanged,
     lambda params, state, t: Vec3(0.0, 0.0, 0.0),
     bounds=lambda params: WindBounds(0.0, 0.0, 0.0),
+    last_change=unchanging,
 )
 
 WINDS: Registry = {

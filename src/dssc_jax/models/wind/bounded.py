@@ -6,6 +6,7 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.core.default_functions import unchanging
 from dssc_jax.core.numerics import uniforms
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
@@ -120,5 +121,11 @@ def bounded_mean(params: BoundedWindParams, dt: Scalar) -> Vec3:
 
 
 BOUNDED_WIND = Wind(
-    BoundedWindParams, bounded_init, bounded_step, bounded_value, bounds=bounded_limits, mean=bounded_mean
+    params=BoundedWindParams,
+    init=bounded_init,
+    step=bounded_step,
+    value=bounded_value,
+    bounds=bounded_limits,
+    mean=bounded_mean,
+    last_change=unchanging,
 )

@@ -11,6 +11,7 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.core.default_functions import unchanging
 from dssc_jax.core.numerics import elapsed_share, standard_normals
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
@@ -213,4 +214,11 @@ def dryden_mean(params: DrydenParams, dt: Scalar) -> Vec3:
     return Vec3(speed * jnp.cos(params.direction), speed * jnp.sin(params.direction), 0.0)
 
 
-DRYDEN = Wind(DrydenParams, dryden_init, dryden_step, dryden_value, mean=dryden_mean)
+DRYDEN = Wind(
+    params=DrydenParams,
+    init=dryden_init,
+    step=dryden_step,
+    value=dryden_value,
+    mean=dryden_mean,
+    last_change=unchanging,
+)

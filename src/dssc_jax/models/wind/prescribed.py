@@ -15,9 +15,9 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.default_functions import stateless, unchanged
+from dssc_jax.core.default_functions import stateless, unchanged, unchanging
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import cubic_spline, elapsed_share
+from dssc_jax.core.numerics import cubic_spline, elapsed_share, spline_end
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Params, Scalar, State
 from dssc_jax.core.vectors import Vec3
@@ -41,7 +41,7 @@ class ConstantWindParams(NamedTuple):
 class PiecewiseParams(NamedTuple):
     """A table of winds: row i is the wind from ``times[i]`` to the next time; before the first there is no wind."""
 
-    times: Annotated[tuple[Scalar, ...], Quantity("s", "time at which the row begins", at_least=0.0)]
+    times: Annotated[tuple[Scalar, ...], Quantity("s", "time at which the row begins", at_least=0.0, begins=True)]
     x: Annotated[tuple[Scalar, ...], X]
     y: Annotated[tuple[Scalar, ...], Y]
     z: Annotated[tuple[Scalar, ...], Z]
@@ -188,11 +188,16 @@ def spline_bounds(params: SplineWindParams) -> WindBounds:
     A cubic B-spline is always a weighted mean of its knots, and its slope a weighted mean of the differences of
     consecutive knots, divided by the interval. Before and after its knots it goes to 0, hence the padding.
     """
-    count = max(len(params.x), len(params.y), len(params.z))
+    count = most_knots(params)
     columns = (padded_knots(knots, count) for knots in (params.x, params.y, params.z))
     knots = [Vec3(*row) for row in zip(*columns, strict=True)]
     slopes = [(next_knot - previous_knot) / params.interval for previous_knot, next_knot in pairwise(knots)]
     return mixture_bounds(knots, slopes)
+
+
+def most_knots(params: SplineWindParams) -> int:
+    """Return the number of knots of the component that has most."""
+    return max(len(params.x), len(params.y), len(params.z))
 
 
 def padded_knots(knots: Sequence[Scalar], count: int) -> list[Scalar]:
@@ -201,7 +206,14 @@ def padded_knots(knots: Sequence[Scalar], count: int) -> list[Scalar]:
     return [0.0, *knots, *missing, 0.0]
 
 
-CONSTANT_WIND = Wind(ConstantWindParams, calm, constant_step, held_wind, bounds=constant_bounds)
+CONSTANT_WIND = Wind(
+    params=ConstantWindParams,
+    init=calm,
+    step=constant_step,
+    value=held_wind,
+    bounds=constant_bounds,
+    last_change=unchanging,
+)
 PIECEWISE = Wind(
     params=PiecewiseParams,
     init=calm,
@@ -209,8 +221,16 @@ PIECEWISE = Wind(
     value=held_wind,
     prepare=check_table,
     bounds=piecewise_bounds,
+    last_change=unchanging,
 )
-GUST = Wind(GustParams, stateless, unchanged, gust_value, bounds=gust_bounds)
+GUST = Wind(
+    params=GustParams,
+    init=stateless,
+    step=unchanged,
+    value=gust_value,
+    bounds=gust_bounds,
+    last_change=lambda params: params.at + params.duration,
+)
 SPLINE_WIND = Wind(
     params=SplineWindParams,
     init=stateless,
@@ -218,4 +238,5 @@ SPLINE_WIND = Wind(
     value=spline_wind,
     prepare=check_wind_knots,
     bounds=spline_bounds,
+    last_change=lambda params: spline_end(params.at, params.interval, most_knots(params)),
 )

@@ -16,6 +16,7 @@ from dssc_jax.core.records import (
     columns_as_pieces,
     held_mean,
     held_record,
+    last_time,
     piece_at,
 )
 from dssc_jax.core.registry import Entry
@@ -97,6 +98,7 @@ def recorded_wind(rule: Interpolation) -> Wind:
             value=held_wind,
             prepare=lambda params: tuple(map(held_record, prepare(params))),
             bounds=held_bounds,
+            last_change=lambda records: last_time(records[0].pieces),
         )
     return Wind(
         params=RecordedWindParams,
@@ -105,6 +107,7 @@ def recorded_wind(rule: Interpolation) -> Wind:
         value=wind_at,
         prepare=prepare,
         bounds=line_bounds if rule == Interpolation.LINEAR else None,
+        last_change=lambda pieces: last_time(pieces[0]),
     )
 
 
