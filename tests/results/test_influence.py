@@ -1,10 +1,13 @@
 """What matters in a result: idle knobs are reported, and uncertain numbers are ranked by what they explain."""
 
+import doctest
+
 import numpy as np
 import pytest
 import xarray as xr
 
 import dssc_jax as dj
+import dssc_jax.results.influence as influences
 from dssc_jax.results.influence import idle_axes, idle_text, influence, largest_change, sorted_by_influence
 from tests.conftest import UNCERTAIN
 
@@ -67,6 +70,38 @@ def test_influence_is_the_share_of_variance_that_a_number_explains():
     names = list(result.study.laws)
     assert sorted_by_influence(forced, names)[0] == "plant.k_p"
     assert sorted(sorted_by_influence(forced, names)) == sorted(names)
+
+
+@pytest.mark.parametrize("required", [{"formula": "always[0,1] abs(e) < 1e-9"}, {"metric": "error_rms", "max": 1e-9}])
+def test_if_all_draws_fail_those_without_a_value_are_the_worst(required):
+    """The other draws get worse as the gain falls, to those without a value: the ranks follow the gain alone."""
+    result = dj.run(dj.Study.from_table({**LOOP, "draws": 80, "sweep": {}, "requirement": [required]}))
+    assert result.failed.all()
+    measure = result.study.requirements[0].measure
+    gain = result.dataset["plant.k_p"].values
+    sign = 1.0 if measure.metric.worst == -np.inf else -1.0
+    values = np.where(gain < np.quantile(gain, 0.3), np.nan, sign * gain)
+    ended = dj.Result(result.study, result.dataset.assign({measure.name: ("draw", values)}))
+    assert influence(ended, "plant.k_p") > 0.85
+    none = dj.Result(result.study, result.dataset.assign({measure.name: ("draw", np.full(80, np.nan))}))
+    assert influence(none, "plant.k_p") == 0.0
+
+
+def test_the_change_of_a_metric_counts_draws_without_a_value_as_its_worst():
+    """With 3 % at -inf the median and both outer quantiles are finite, with 6 % the lower one is not."""
+    draws = np.arange(100.0)
+    few, more = draws.copy(), draws.copy()
+    few[:3] = more[:6] = np.nan
+    metric = xr.DataArray(np.stack([few, more]), dims=("axis", "draw"))
+    assert largest_change(metric, "axis", -np.inf) == np.inf
+    few[:6] = np.nan
+    metric = xr.DataArray(np.stack([few, few]), dims=("axis", "draw"))
+    assert largest_change(metric, "axis", -np.inf) == 0.0
+
+
+def test_equal_values_share_the_mean_of_their_ranks():
+    assert doctest.testmod(influences).attempted == 1
+    assert doctest.testmod(influences).failed == 0
 
 
 def test_the_figure_of_failures_shows_the_most_influential_numbers_and_how_many_more_there_are():
