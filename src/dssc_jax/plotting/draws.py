@@ -184,6 +184,8 @@ def steps_of_distribution(values: np.ndarray, missing: float) -> Steps:
 def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
     """Plot the failure probability with its exact interval against one uncertain number, in bins of equal count.
 
+    A number that takes few values, such as that of a ``choice``, has a bin for each of them.
+
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).
         name: The uncertain number's dotted name.

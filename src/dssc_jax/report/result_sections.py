@@ -257,7 +257,7 @@ def causes(subject: Subject) -> Section | None:
         return None
     pictures = []
     for index, name in enumerate(names):
-        text = f"Failure probability against {name}, in bins of equal count, with intervals."
+        text = f"Failure probability against {name}, in bins of draws, with intervals."
         picture = inline_svg(partial(plotting.factor, result, name), text, f"cause{index}")
         pictures.append(figure(picture, [h.code[name], f": {result.study.quantities[name].meaning}"]))
     omitted_count = len(result.study.laws) - len(names)
@@ -265,8 +265,9 @@ def causes(subject: Subject) -> Section | None:
     if omitted_count > 0:
         remark = f" The most influential are shown; {count_text(omitted_count, 'number')} more are in the dataset."
     note = (
-        f"Failure probability{subject.point_phrase}, in bins of equal count of one uncertain number while all the "
-        f"others vary, with {LEVEL} intervals. A slope shows that failures depend on the number.{remark}"
+        f"Failure probability{subject.point_phrase}, in bins of equal count of one uncertain number, or at each of its "
+        f"values if these are few, while all the others vary, with {LEVEL} intervals. A slope shows that failures "
+        f"depend on the number.{remark}"
     )
     return Section("causes", "What failures depend on", [h.p[note], h.div(".grid")[pictures]])
 

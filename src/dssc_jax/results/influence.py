@@ -86,11 +86,38 @@ def idle_axis_text(result: Result, axis: str) -> str:
 def equal_count_bins(values: np.ndarray) -> list[np.ndarray]:
     """Split the draws into bins of nearly equal size by increasing value; return the indices of each bin's draws.
 
+    Draws of equal values share a bin. Few values that repeat, such as those of a ``choice``, have a bin each.
+
     Args:
         values: Value of the number in each draw, shape (draws,).
+
+    Example:
+        >>> [draws.tolist() for draws in equal_count_bins(np.array([1.0, 0.5, 1.0, 1.0, 0.5]))]
+        [[1, 4], [0, 2, 3]]
     """
-    bins = max(1, min(MAX_BINS, values.size // MIN_DRAWS_PER_BIN))
-    return np.array_split(np.argsort(values), bins)
+    order = np.argsort(values, kind="stable")
+    first_places = np.flatnonzero(np.diff(values[order], prepend=-np.inf))  # of each value, in sorted order
+    few_repeat = len(first_places) <= MAX_BINS and 2 * len(first_places) <= values.size
+    cuts = first_places[1:] if few_repeat else equal_count_cuts(first_places, values.size)
+    return np.split(order, cuts)
+
+
+def equal_count_cuts(first_places: np.ndarray, draws: int) -> np.ndarray:
+    """Places in the sorted draws at which bins of nearly equal size begin, without the first; they separate no ties.
+
+    Args:
+        first_places: Place at which each value begins, ascending from 0.
+        draws: Number of draws.
+    """
+    bins = max(1, min(MAX_BINS, draws // MIN_DRAWS_PER_BIN))
+    sizes = [len(places) for places in np.array_split(np.arange(draws), bins)]
+    ends = np.append(first_places, draws)
+    cuts = np.cumsum(sizes)[:-1]
+    after = np.searchsorted(ends, cuts)  # the next value begins at the cut or after it
+    above = ends[after]
+    below = ends[np.maximum(after - 1, 0)]
+    nearest = np.unique(np.where(above - cuts <= cuts - below, above, below))
+    return nearest[(nearest > 0) & (nearest < draws)]
 
 
 def influence(result: Result, name: str) -> float:
