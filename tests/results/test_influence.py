@@ -1,11 +1,22 @@
 """What matters in a result: idle knobs are reported, and uncertain numbers are ranked by what they explain."""
 
+import doctest
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import xarray as xr
 
 import dssc_jax as dj
-from dssc_jax.results.influence import idle_axes, idle_text, influence, largest_change, sorted_by_influence
+import dssc_jax.results.influence as influences
+from dssc_jax.results.influence import (
+    equal_count_bins,
+    idle_axes,
+    idle_text,
+    influence,
+    largest_change,
+    sorted_by_influence,
+)
 from tests.conftest import UNCERTAIN
 
 LOOP = {
@@ -67,6 +78,75 @@ def test_influence_is_the_share_of_variance_that_a_number_explains():
     names = list(result.study.laws)
     assert sorted_by_influence(forced, names)[0] == "plant.k_p"
     assert sorted(sorted_by_influence(forced, names)) == sorted(names)
+
+
+@pytest.mark.parametrize("required", [{"formula": "always[0,1] abs(e) < 1e-9"}, {"metric": "error_rms", "max": 1e-9}])
+def test_if_all_draws_fail_those_without_a_value_are_the_worst(required):
+    """The other draws get worse as the gain falls, to those without a value: the ranks follow the gain alone."""
+    result = dj.run(dj.Study.from_table({**LOOP, "draws": 80, "sweep": {}, "requirement": [required]}))
+    assert result.failed.all()
+    measure = result.study.requirements[0].measure
+    gain = result.dataset["plant.k_p"].values
+    sign = 1.0 if measure.metric.worst == -np.inf else -1.0
+    values = np.where(gain < np.quantile(gain, 0.3), np.nan, sign * gain)
+    ended = dj.Result(result.study, result.dataset.assign({measure.name: ("draw", values)}))
+    assert influence(ended, "plant.k_p") > 0.85
+    none = dj.Result(result.study, result.dataset.assign({measure.name: ("draw", np.full(80, np.nan))}))
+    assert influence(none, "plant.k_p") == 0.0
+
+
+def test_the_change_of_a_metric_counts_draws_without_a_value_as_its_worst():
+    """With 3 % at -inf the median and both outer quantiles are finite, with 6 % the lower one is not."""
+    draws = np.arange(100.0)
+    few, more = draws.copy(), draws.copy()
+    few[:3] = more[:6] = np.nan
+    metric = xr.DataArray(np.stack([few, more]), dims=("axis", "draw"))
+    assert largest_change(metric, "axis", -np.inf) == np.inf
+    few[:6] = np.nan
+    metric = xr.DataArray(np.stack([few, few]), dims=("axis", "draw"))
+    assert largest_change(metric, "axis", -np.inf) == 0.0
+
+
+def test_equal_values_share_a_bin_and_the_mean_of_their_ranks():
+    assert doctest.testmod(influences).attempted == 2
+    assert doctest.testmod(influences).failed == 0
+
+
+@pytest.mark.parametrize("draws", [7, 12, 64, 1003])
+@pytest.mark.parametrize("count", [1, 2, 3, 8, 20])
+def test_no_bin_separates_draws_of_equal_value(draws, count):
+    values = np.random.default_rng(count).choice(np.linspace(0.9, 1.1, count), draws)
+    bins = equal_count_bins(values)
+    assert sorted(np.concatenate(bins)) == list(range(draws))
+    assert all(len(members) for members in bins)
+    for lower, upper in pairwise(bins):
+        assert values[lower].max() < values[upper].min()
+    if count <= 3 and draws > 7:
+        assert len(bins) == count
+
+
+def test_a_repeated_value_among_others_has_a_bin_of_its_own():
+    values = np.concatenate([np.linspace(0.0, 1.0, 40, endpoint=False), np.full(60, 1.0), np.linspace(1.1, 2.0, 20)])
+    bins = [np.unique(values[members]) for members in equal_count_bins(values)]
+    assert any(members.tolist() == [1.0] for members in bins)
+
+
+def test_bins_of_values_that_do_not_repeat_have_nearly_equal_sizes():
+    values = np.random.default_rng(1).normal(size=43)
+    assert [len(members) for members in equal_count_bins(values)] == [6, 6, 6, 5, 5, 5, 5, 5]
+    assert [len(members) for members in equal_count_bins(values[:7])] == [7]
+
+
+def test_the_values_of_a_choice_are_drawn_at_their_own_failures():
+    table = {**LOOP, "draws": 300, "sweep": {}}
+    study = dj.Study.from_table(table).override({"plant.k_p": {"choice": [0.9, 1.0, 1.1]}})
+    result = dj.run(study)
+    gain = result.dataset["plant.k_p"].values
+    code = np.where((gain == 1.0) | ((gain == 0.9) & (np.arange(300) % 7 == 0)), 10, 0)
+    forced = dj.Result(study, result.dataset.assign(outcome=("draw", code.astype(result.dataset["outcome"].dtype))))
+    values, shares = dj.plot.factor(forced, "plant.k_p").axes[0].lines[0].get_data()
+    assert values.tolist() == [0.9, 1.0, 1.1]
+    assert shares.tolist() == [np.mean(code[gain == value] > 0) for value in values]
 
 
 def test_the_figure_of_failures_shows_the_most_influential_numbers_and_how_many_more_there_are():

@@ -11,6 +11,7 @@ from dssc_jax.closed_loop.metrics.requirements import ended_early
 from dssc_jax.console.stated import show_stated
 from dssc_jax.console.terminal import number_text, show_line, show_paragraph, show_required, show_table
 from dssc_jax.results.influence import idle_text
+from dssc_jax.results.missing import quantile_value, without_value_texts
 from dssc_jax.results.result import headline_measure
 from dssc_jax.results.schema import name_with_unit, outcome_codes
 from dssc_jax.results.summary import SummaryRow, missing_value_texts, most_violated
@@ -157,7 +158,9 @@ def show_point(study: "Study", point: SummaryRow, draws_equal: bool) -> None:
         show_paragraph(f"ended early, and so violated every requirement: {early_ends_text(study, point)}")
     titles = {"q50": "of every draw"} if draws_equal else {"q5": "5 %", "q50": "median", "q95": "95 %"}
     rows = metric_rows(study, point, list(titles), draws_equal)
-    show_table(("metric (ended early: inf)", *titles.values()), rows)
+    show_table(("metric", *titles.values()), rows)
+    for text in without_value_texts(study, point, "{:.4g}".format):
+        show_paragraph(text)
 
 
 def requirement_rows(study: "Study", point: SummaryRow, draws_equal: bool) -> list[tuple[str, ...]]:
@@ -205,23 +208,24 @@ def metric_rows(study: "Study", point: SummaryRow, levels: list[str], draws_equa
         levels: Names of the quantiles in the summary, such as ``q50``.
         draws_equal: Whether all draws are the same.
     """
-    units = {measure.name: measure.unit for measure in study.measures}
     rows = []
-    for name, quantiles in point["metrics"].items():
-        cells = [quantile_text(quantiles, level, with_interval=not draws_equal) for level in levels]
-        rows.append((name_with_unit(name, units[name]), *cells))
+    for measure in study.measures:
+        quantiles = point["metrics"][measure.name]
+        cells = [quantile_text(quantiles, level, measure.metric.worst, not draws_equal) for level in levels]
+        rows.append((name_with_unit(measure.name, measure.unit), *cells))
     return rows
 
 
-def quantile_text(quantiles: SummaryRow, level: str, with_interval: bool) -> str:
+def quantile_text(quantiles: SummaryRow, level: str, worst: float, with_interval: bool) -> str:
     """Format a quantile of a metric, with its interval if requested.
 
     Args:
-        quantiles: Quantiles and their intervals, by name; None means infinite, as for draws that ended early.
+        quantiles: Quantiles and their intervals, by name; None means infinite.
         level: Name of the quantile, such as ``q50``.
+        worst: What draws without a value count as.
         with_interval: Whether to add the interval; an infinite quantile never has one.
     """
-    value = number_text(quantiles[level], ".4g", "inf")
+    value = f"{quantile_value(quantiles, level, worst):.4g}"
     interval = quantiles.get(f"{level}_interval")
     if quantiles[level] is None or interval is None or not with_interval:
         return value
@@ -252,7 +256,8 @@ def show_points(result: "Result") -> None:
     Points after the first :data:`MOST_ROWS` are left out.
     """
     axes = result.study.axes
-    metric = headline_measure(result.study).name
+    measure = headline_measure(result.study)
+    metric = measure.name
     has_several_requirements = len(result.study.requirements) > 1
     result = result.with_theorem()
     draws_equal = result.has_equal_draws
@@ -271,8 +276,7 @@ def show_points(result: "Result") -> None:
         row.extend(failure_cells(point, point["draws"], draws_equal))
         if has_several_requirements:
             row.append(most_violated(point))
-        median = point["metrics"].get(metric, {}).get("q50")
-        row.append(number_text(median, ".4g", "inf"))
+        row.append(quantile_text(point["metrics"][metric], "q50", measure.metric.worst, with_interval=False))
         if has_certificates:
             row.append(VERDICT_MARKS[point["certified"]])
         rows.append(row)

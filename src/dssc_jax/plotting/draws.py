@@ -1,6 +1,7 @@
 """Figures of a run: the distribution of a metric, and failures against uncertain numbers."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,6 +26,7 @@ from dssc_jax.plotting.thinning import spaced_indices
 from dssc_jax.results.influence import equal_count_bins, sorted_by_influence
 from dssc_jax.results.result import Result, measure_named, most_violated
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
+from dssc_jax.statistics.order import sorted_draws
 
 MOST_FACTORS = 5  # uncertain numbers with a panel
 MOST_MARKED_STEPS = 20  # steps of a distribution function up to which each has a dot
@@ -96,6 +98,10 @@ def drawable_laws(result: Result) -> list[str]:
 def distribution(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
     """Plot the empirical distribution function of a metric, with the exact interval of each share of draws.
 
+    A draw without a value counts as the worst one (:attr:`Metric.worst`). Where large values are good, as those of a
+    robustness, the curve therefore starts at the share of such draws; elsewhere it ends below 1. The legend tells how
+    many draws lie beyond an end of the axis.
+
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).
         ax: Axes to draw into; None: a new figure.
@@ -108,20 +114,20 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
     require_one_point(result)
     figure, ax = panel(ax)
     measure = measure_named(result, metric)
-    values = result.dataset[measure.name].values
-    finite = np.sort(values[np.abs(values) < DRAWABLE])
-    ranks = 1 + spaced_indices(len(finite)) if len(finite) else np.array([], int)  # from 1 on, as many as fit
-    x_values = finite[ranks - 1]
+    steps = steps_of_distribution(result.dataset[measure.name].values, measure.metric.worst)
     if not isinstance(result.method, Replicated):
-        interval = clopper_pearson(ranks, values.size, result.method.confidence_per_look(CONFIDENCE))
+        interval = clopper_pearson(steps.ranks, steps.draws, result.method.confidence_per_look(CONFIDENCE))
         low, high = interval.T
-        ax.fill_between(x_values, low, high, color=BLUE, alpha=0.2, step="post", linewidth=0.0, label="95 % interval")
-    marker = "o" if len(x_values) < MOST_MARKED_STEPS else None
-    ax.step(x_values, ranks / values.size, color=BLUE, where="post", marker=marker)
+        ax.fill_between(
+            steps.values, low, high, color=BLUE, alpha=0.2, step="post", linewidth=0.0, label="95 % interval"
+        )
+    marker = "o" if len(steps.values) < MOST_MARKED_STEPS else None
+    shares = steps.ranks / steps.draws
+    ax.step(steps.values, shares, color=BLUE, where="post", marker=marker, label=steps.omitted_text)
     for limit in metric_bounds(result, measure):
         ax.axvline(limit, color=RED, linestyle="--", label="required")
-    if x_values.size:
-        set_scale(ax, x_values)
+    if steps.values.size:
+        set_scale(ax, steps.values)
     else:
         ax.text(0.5, 0.5, "no finite value", transform=ax.transAxes, ha="center")
     ax.set(xlabel=label(result.dataset[measure.name].attrs), ylabel="share of draws at or below", ylim=(0, 1.02))
@@ -129,9 +135,56 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
     return figure
 
 
+class Steps(NamedTuple):
+    """The steps of a distribution function that fit on an axis, at most as many as a picture has columns.
+
+    Args:
+        values: The metric at each step, ascending, shape (steps,).
+        ranks: Number of draws at or below each of them, of the same shape.
+        draws: Number of all draws.
+        below: Number of draws below the lowest value that fits on an axis.
+        above: Number of draws above the highest value that fits on an axis.
+    """
+
+    values: np.ndarray
+    ranks: np.ndarray
+    draws: int
+    below: int
+    above: int
+
+    @property
+    def omitted_text(self) -> str | None:
+        """How many draws lie beyond either end of the axis, for the legend; None: no draw does."""
+        sides = {"left": self.below, "right": self.above}
+        texts = [f"{count:,} further {side}" for side, count in sides.items() if count]
+        return f"draws; {', '.join(texts)}" if texts else None
+
+
+def steps_of_distribution(values: np.ndarray, missing: float) -> Steps:
+    """Find the steps of the empirical distribution function of a metric.
+
+    Args:
+        values: The metric of each draw, shape (draws,).
+        missing: Replaces NaN.
+    """
+    sorted_values = sorted_draws(values, missing)
+    below, end = np.searchsorted(sorted_values, [-DRAWABLE, DRAWABLE], side="right").tolist()
+    drawn = sorted_values[below:end]
+    places = spaced_indices(len(drawn)) if len(drawn) else np.array([], int)
+    return Steps(
+        values=drawn[places],
+        ranks=below + 1 + places,
+        draws=values.size,
+        below=below,
+        above=values.size - end,
+    )
+
+
 @styled
 def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
     """Plot the failure probability with its exact interval against one uncertain number, in bins of equal count.
+
+    A number that takes few values, such as that of a ``choice``, has a bin for each of them.
 
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).

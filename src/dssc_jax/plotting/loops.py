@@ -38,8 +38,9 @@ def loop_margins(margins: Analysis, point: str | None = None, broken_at: str | N
     nyquist_panel(nyquist, loop_data["loop_real"].values, loop_data["loop_imaginary"].values)
     sensitivity_panel(sensitivities, loop_data)
     statistics = summary["operating_points"][point][broken_at]
-    margin_panel(phase_margin, loop_data["phase"], statistics["phase"]["tolerance_limit"], "deg", 180.0 / np.pi)
-    margin_panel(delay_margin, loop_data["delay"], statistics["delay"]["tolerance_limit"], "s", 1.0)
+    stable = statistics["stable"]
+    margin_panel(phase_margin, loop_data["phase"], stable, statistics["phase"]["tolerance_limit"], "deg", 180.0 / np.pi)
+    margin_panel(delay_margin, loop_data["delay"], stable, statistics["delay"]["tolerance_limit"], "s", 1.0)
     place = point if point == "equilibrium" else f"linearised at {point}"
     loop_text = f"loop broken at {broken_at}, {place}, {summary['draws']} draws"
     title(figure, f"{study_title(margins.study)}: {loop_text}")
@@ -116,20 +117,30 @@ def nyquist_panel(ax: Axes, real: np.ndarray, imaginary: np.ndarray) -> None:
     ax.set_aspect("equal")
 
 
-def margin_panel(ax: Axes, margin: xr.DataArray, limit: float | None, unit: str, scale: float) -> None:
+def margin_panel(ax: Axes, margin: xr.DataArray, stable: int, limit: float | None, unit: str, scale: float) -> None:
     """Draw the distribution function of a margin over all draws, and its tolerance limit.
+
+    Draws without a stable loop count as a margin of 0, where the curve begins at their share. It does not reach 1 if
+    stable loops have an infinite margin.
 
     Args:
         ax: Axes to draw into.
-        margin: The margin of each draw, shape (draws,); not finite where the draw has none.
+        margin: The margin of each draw, shape (draws,); not finite where the draw has none, or an infinite one.
+        stable: Number of draws with a stable loop.
         limit: Tolerance limit of the margin; None: there is none.
         unit: Unit of the axis.
         scale: Factor that converts the margin to that unit.
     """
     values = scale * margin.values
     sorted_values = np.sort(values[np.isfinite(values)])
-    share = np.arange(1, len(sorted_values) + 1) / values.size
-    ax.step(sorted_values, share, where="post", color=BLUE, label="draws")
+    unstable = values.size - stable
+    ranks = unstable + np.arange(1, len(sorted_values) + 1)
+    text = "draws"
+    if unstable:
+        sorted_values = np.concatenate([[0.0], sorted_values])
+        ranks = np.concatenate([[unstable], ranks])
+        text = f"draws; {unstable:,} without a stable loop"
+    ax.step(sorted_values, ranks / values.size, where="post", color=BLUE, label=text)
     ax.set(xlabel=f"{margin.name} margin [{unit}]", ylabel="share of draws at or below", ylim=(-0.03, 1.03))
     if limit is not None:
         text = f"95 % of draws, confidence 95 %: {scale * limit:.3g} {unit}"

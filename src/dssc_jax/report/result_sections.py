@@ -28,6 +28,7 @@ from dssc_jax.report.elements import (
 from dssc_jax.report.subject import Subject
 from dssc_jax.report.vector import inline_svg
 from dssc_jax.results.influence import idle_text, sorted_by_influence
+from dssc_jax.results.missing import quantile_value, without_value_texts
 from dssc_jax.results.result import Result, headline_measure
 from dssc_jax.results.schema import ENDINGS, name_with_unit, outcome_codes
 from dssc_jax.results.summary import SummaryRow, extreme_points, missing_value_texts, most_violated
@@ -179,7 +180,8 @@ def point_tables(subject: Subject) -> list[h.Node]:
 def point_cells(subject: Subject, point: SummaryRow) -> tuple[h.Node, ...]:
     """Cells of a point of a sweep: its values, failures, main failure, median of the headline metric, certificate."""
     values = (number(point[name]) for name in subject.result.study.axes)
-    median = point["metrics"][headline_measure(subject.result.study).name]["q50"]
+    measure = headline_measure(subject.result.study)
+    median = quantile_value(point["metrics"][measure.name], "q50", measure.metric.worst)
     main_failure = [most_violated(point)] if len(point["requirements"]) > 1 else []
     return *values, *failure_cells(point), *main_failure, number(median), CERTIFIED_TEXT[point["certified"]]
 
@@ -234,8 +236,9 @@ def metrics(subject: Subject) -> Section:
     text = f"Share of draws at or below each value of {name}; its quantiles are in the table."
     picture = inline_svg(lambda: plotting.distribution(result), text, "distribution")
     caption = f"Distribution of {name} with the interval of each share."
+    without_value = without_value_texts(study, subject.point_summary, number)
     body = [
-        h.p[f"Quantiles over draws{subject.point_phrase}. A draw that ended early counts as ∞."],
+        h.p[" ".join([f"Quantiles over draws{subject.point_phrase}.", *(f"{text}." for text in without_value)])],
         table("Quantiles of the metrics", head, rows, text_columns=3),
         h.div(".pair")[figure(picture, caption)],
     ]
@@ -257,7 +260,7 @@ def causes(subject: Subject) -> Section | None:
         return None
     pictures = []
     for index, name in enumerate(names):
-        text = f"Failure probability against {name}, in bins of equal count, with intervals."
+        text = f"Failure probability against {name}, in bins of draws, with intervals."
         picture = inline_svg(partial(plotting.factor, result, name), text, f"cause{index}")
         pictures.append(figure(picture, [h.code[name], f": {result.study.quantities[name].meaning}"]))
     omitted_count = len(result.study.laws) - len(names)
@@ -265,8 +268,9 @@ def causes(subject: Subject) -> Section | None:
     if omitted_count > 0:
         remark = f" The most influential are shown; {count_text(omitted_count, 'number')} more are in the dataset."
     note = (
-        f"Failure probability{subject.point_phrase}, in bins of equal count of one uncertain number while all the "
-        f"others vary, with {LEVEL} intervals. A slope shows that failures depend on the number.{remark}"
+        f"Failure probability{subject.point_phrase}, in bins of equal count of one uncertain number, or at each of its "
+        f"values if these are few, while all the others vary, with {LEVEL} intervals. A slope shows that failures "
+        f"depend on the number.{remark}"
     )
     return Section("causes", "What failures depend on", [h.p[note], h.div(".grid")[pictures]])
 

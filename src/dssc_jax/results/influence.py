@@ -5,6 +5,7 @@ from operator import itemgetter
 import numpy as np
 import xarray as xr
 
+from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.results.result import Result, headline_measure
 from dssc_jax.statistics.order import upper_quantiles
 
@@ -31,19 +32,30 @@ def is_idle(result: Result, axis: str) -> bool:
     failed_at_first_value = failed.isel({axis: 0})
     if bool((failed != failed_at_first_value).any()):
         return False
-    metric_names = {requirement.measure.name for requirement in result.study.requirements}
-    if not metric_names:
-        metric_names = {headline_measure(result.study).name}
-    return all(largest_change(result.dataset[name], axis) <= IDLE_CHANGE for name in metric_names)
+    measures = {requirement.measure.name: requirement.measure for requirement in result.study.requirements}
+    if not measures:
+        headline = headline_measure(result.study)
+        measures = {headline.name: headline}
+    return all(largest_change_of(result, measure, axis) <= IDLE_CHANGE for measure in measures.values())
 
 
-def largest_change(metric: xr.DataArray, axis: str) -> float:
+def largest_change_of(result: Result, measure: Measure, axis: str) -> float:
+    """Compute the largest relative change of the quantiles of a measure along an axis, see :func:`largest_change`."""
+    return largest_change(result.dataset[measure.name], axis, measure.metric.worst)
+
+
+def largest_change(metric: xr.DataArray, axis: str, missing: float = np.inf) -> float:
     """Compute the largest relative change of a metric's quantiles along an axis.
 
     It is infinite if a quantile is finite at some values of the axis only.
+
+    Args:
+        metric: The metric of each draw.
+        axis: Name of the axis.
+        missing: Replaces NaN, which stands for a draw without a value.
     """
     metric_values = metric.transpose(axis, ..., "draw").values
-    quantiles = upper_quantiles(metric_values, QUANTILES)  # shape (levels, values of the axis, ...)
+    quantiles = upper_quantiles(metric_values, QUANTILES, missing)  # shape (levels, values of the axis, ...)
     finite = np.isfinite(quantiles)
     partly_finite = finite.any(axis=1) != finite.all(axis=1)
     if partly_finite.any():
@@ -62,7 +74,7 @@ def idle_text(result: Result) -> str:
 
 def idle_axis_text(result: Result, axis: str) -> str:
     """State that an axis affects no requirement, and which other metric changes most along it, if any changes."""
-    changes = {measure.name: largest_change(result.dataset[measure.name], axis) for measure in result.study.measures}
+    changes = {measure.name: largest_change_of(result, measure, axis) for measure in result.study.measures}
     if max(changes.values()) <= IDLE_CHANGE:
         limit = f"{100 * IDLE_CHANGE:g} %"
         return f"over {axis} no verdict changes, and no quantile (5, 50, 95 %) of a metric by more than {limit}"
@@ -74,18 +86,46 @@ def idle_axis_text(result: Result, axis: str) -> str:
 def equal_count_bins(values: np.ndarray) -> list[np.ndarray]:
     """Split the draws into bins of nearly equal size by increasing value; return the indices of each bin's draws.
 
+    Draws of equal values share a bin. Few values that repeat, such as those of a ``choice``, have a bin each.
+
     Args:
         values: Value of the number in each draw, shape (draws,).
+
+    Example:
+        >>> [draws.tolist() for draws in equal_count_bins(np.array([1.0, 0.5, 1.0, 1.0, 0.5]))]
+        [[1, 4], [0, 2, 3]]
     """
-    bins = max(1, min(MAX_BINS, values.size // MIN_DRAWS_PER_BIN))
-    return np.array_split(np.argsort(values), bins)
+    order = np.argsort(values, kind="stable")
+    first_places = np.flatnonzero(np.diff(values[order], prepend=-np.inf))  # of each value, in sorted order
+    few_repeat = len(first_places) <= MAX_BINS and 2 * len(first_places) <= values.size
+    cuts = first_places[1:] if few_repeat else equal_count_cuts(first_places, values.size)
+    return np.split(order, cuts)
+
+
+def equal_count_cuts(first_places: np.ndarray, draws: int) -> np.ndarray:
+    """Places in the sorted draws at which bins of nearly equal size begin, without the first; they separate no ties.
+
+    Args:
+        first_places: Place at which each value begins, ascending from 0.
+        draws: Number of draws.
+    """
+    bins = max(1, min(MAX_BINS, draws // MIN_DRAWS_PER_BIN))
+    sizes = [len(places) for places in np.array_split(np.arange(draws), bins)]
+    ends = np.append(first_places, draws)
+    cuts = np.cumsum(sizes)[:-1]
+    after = np.searchsorted(ends, cuts)  # the next value begins at the cut or after it
+    above = ends[after]
+    below = ends[np.maximum(after - 1, 0)]
+    nearest = np.unique(np.where(above - cuts <= cuts - below, above, below))
+    return nearest[(nearest > 0) & (nearest < draws)]
 
 
 def influence(result: Result, name: str) -> float:
     """Estimate the share of the variance of failure that an uncertain number explains, in [0, 1].
 
     The share is the correlation ratio over bins of the number, less the share that as many bins explain by chance. If
-    no draw fails, or all fail, the ranks of the headline metric take the place of failure.
+    no draw fails, or all fail, the ranks of the headline metric take the place of failure; a draw without a value
+    counts as the metric's worst.
 
     Args:
         result: A run, or a point of a sweep (:meth:`Result.at`).
@@ -93,9 +133,8 @@ def influence(result: Result, name: str) -> float:
     """
     outcome = result.failed.values.astype(float)
     if outcome.min() == outcome.max():
-        metric = result.dataset[headline_measure(result.study).name].values
-        order = np.argsort(np.where(np.isnan(metric), np.inf, metric), kind="stable")
-        outcome = np.argsort(order).astype(float)  # ranks
+        measure = headline_measure(result.study)
+        outcome = mean_ranks(result.dataset[measure.name].values, measure.metric.worst)
     bins = equal_count_bins(result.dataset[name].values)
     squares = float(np.sum((outcome - outcome.mean()) ** 2))
     if squares == 0.0 or len(bins) < 2:
@@ -103,6 +142,23 @@ def influence(result: Result, name: str) -> float:
     explained_squares = sum(len(draws) * (outcome[draws].mean() - outcome.mean()) ** 2 for draws in bins)
     explained_by_chance = (len(bins) - 1) / max(1, outcome.size - 1)
     return float(max(0.0, explained_squares / squares - explained_by_chance))
+
+
+def mean_ranks(values: np.ndarray, missing: float) -> np.ndarray:
+    """Rank the draws from 0 on by increasing value; equal values share the mean of their ranks.
+
+    Args:
+        values: Value of each draw, shape (draws,).
+        missing: Replaces NaN.
+
+    Example:
+        >>> mean_ranks(np.array([5.0, np.nan, 7.0, np.nan]), -np.inf)
+        array([2. , 0.5, 3. , 0.5])
+    """
+    complete = np.where(np.isnan(values), missing, values)
+    sorted_values = np.sort(complete)
+    first, end = (np.searchsorted(sorted_values, complete, side=side) for side in ("left", "right"))
+    return 0.5 * (first + end - 1)
 
 
 def sorted_by_influence(result: Result, names: list[str]) -> list[str]:

@@ -174,7 +174,8 @@ class Result:
 
         ``failures`` of a point counts the draws that fail in any way; ``failures`` of a requirement counts all draws
         that violate it. A draw that ended early violates every requirement. ``ended_early`` counts these draws;
-        ``alone`` and ``overlaps`` count only the others. The metrics of a draw that ended early count as infinite.
+        ``alone`` and ``overlaps`` count only the others. In the quantiles of a metric, a draw without a value counts as
+        the worst: -inf if large values are good, inf otherwise. An infinite quantile is None.
         Intervals of quantiles are order statistics, which hold for independent draws only.
 
         Args:

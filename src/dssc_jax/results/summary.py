@@ -75,13 +75,18 @@ class Statements(NamedTuple):
         sorted_values = sorted_draws(values, missing)
         columns = {}
         for level in QUANTILES:
-            name = f"q{100 * level:g}"
+            name = quantile_name(level)
             columns[name] = upper_quantile(sorted_values, level)
             if not isinstance(self.method, Replicated):
                 ranks = quantile_ranks(sorted_values.shape[-1], level, self.method.confidence_per_look(self.confidence))
                 ends = [at_rank(sorted_values, rank) for rank in ranks]
                 columns[f"{name}_interval"] = np.stack(ends, axis=-1)
         return {name: none_if_infinite(column) for name, column in columns.items()}
+
+
+def quantile_name(level: float) -> str:
+    """The name of a quantile in a summary, such as ``q95``."""
+    return f"q{100 * level:g}"
 
 
 def frequency(happened: np.ndarray, intervals: np.ndarray) -> dict[str, list[object]]:
@@ -140,6 +145,9 @@ def summary_of_batch(
 ) -> list[SummaryRow]:
     """Summarise a batch of points: a row for each point.
 
+    Of a metric, ``ended_early`` and ``undefined`` count the draws without a value, those that ended early and those
+    that ran to the end. They count as :attr:`Metric.worst` in its quantiles.
+
     Args:
         study: The study.
         lanes: Outcomes, slacks and metrics by name, each of shape (points, draws).
@@ -162,7 +170,13 @@ def summary_of_batch(
         outcomes[meaning] = np.count_nonzero(outcome == code, axis=-1).tolist()
     metrics = {}
     for measure in study.measures:
-        metrics[measure.name] = rows_of_columns(statements.quantiles(lanes[measure.name], measure.metric.worst))
+        values = lanes[measure.name]
+        has_none = np.isnan(values)
+        columns = statements.quantiles(values, measure.metric.worst) | {
+            "ended_early": np.count_nonzero(has_none & early, axis=-1).tolist(),
+            "undefined": np.count_nonzero(has_none & ~early, axis=-1).tolist(),
+        }
+        metrics[measure.name] = rows_of_columns(columns)
     return rows_of_columns(
         {
             **swept,

@@ -156,6 +156,20 @@ def test_statistics_are_order_statistics(found):
     assert limit == (peaks[98] if np.isfinite(peaks[98]) else None)  # 100 draws: the second largest (Wilks)
 
 
+def test_the_figure_counts_unstable_loops_below_every_margin(study):
+    """Each share is that of the draws whose margin is at most the value; an unstable loop has the worst margin."""
+    margins = dj.loop_margins(study.override({"draws": 40, "unmodelled": delay(30)}))
+    unstable = np.count_nonzero(margins.dataset["status"].sel(loop="input").values)
+    assert 0 < unstable < 40
+    axes = margins.figure().axes
+    for ax, name, scale in ((axes[2], "phase", 180.0 / np.pi), (axes[5], "delay", 1.0)):
+        drawn, shares = ax.lines[0].get_data()
+        values = scale * margins.values(name, "equilibrium", "input")
+        assert (drawn[0], shares[0]) == (0.0, unstable / 40)
+        assert shares == pytest.approx([np.mean(values <= value * (1.0 + 1e-12)) for value in drawn])
+        assert f"{unstable} without a stable loop" in ax.get_legend().get_texts()[0].get_text()
+
+
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
