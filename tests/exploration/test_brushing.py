@@ -64,6 +64,15 @@ def test_the_map_has_the_summary_s_intervals(swept):
     assert Brushing(DrawTable(dj.run(swept.study.without_sweep())), "folder").map is None
 
 
+def test_the_map_ascends_in_whichever_order_the_study_lists_the_values(swept):
+    orders = {"controller.functions.tau_av": [2, 0, 1], "controller.l0": [1, 0]}
+    axes = {name: [swept.study.axes[name][i] for i in order] for name, order in orders.items()}
+    listed = dj.Result(swept.study.override({"sweep": axes}), swept.dataset.isel(orders))
+    cells = Brushing(DrawTable(listed), "folder").map.cells.data
+    for name, column in Brushing(DrawTable(swept), "folder").map.cells.data.items():
+        assert np.array_equal(cells[name], column)
+
+
 def test_the_statement_is_the_summary_s(swept):
     run = dj.run(swept.study.without_sweep())
     point = run.summary()["points"][0]

@@ -6,6 +6,7 @@ import io
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -156,6 +157,26 @@ def test_cell_edges():
     assert cell_edges(np.array([1.0, 2.0, 4.0]), False) == pytest.approx([0.5, 1.5, 3.0, 5.0])
     assert cell_edges(np.array([1.0, 10.0, 100.0]), True) == pytest.approx(10.0 ** np.array([-0.5, 0.5, 1.5, 2.5]))
     assert cell_edges(np.array([3.0]), False) == pytest.approx([2.5, 3.5])
+
+
+def pixels(figure):
+    """The pixels of a figure."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())
+
+
+def test_the_order_of_the_values_of_a_sweep_changes_no_figure(swept):
+    """The same sweep as its study lists the values in another order: curves and maps run along the axis."""
+    orders = {"controller.functions.tau_av": [2, 0, 1], "controller.l0": [1, 0]}
+    axes = {name: [swept.study.axes[name][i] for i in order] for name, order in orders.items()}
+    listed = dj.Result(swept.study.override({"sweep": axes}), swept.dataset.isel(orders))
+    listed_row = listed.at({"controller.l0": 1})
+    row = swept.at({"controller.l0": 0})
+    assert listed_row.dataset["controller.functions.tau_av"].values.tolist() == [0.1, 0.02, 0.05]
+    for draw in (dj.plot.sweep, dj.plot.probability, dj.plot.typical):
+        assert np.array_equal(pixels(draw(listed)), pixels(draw(swept)))
+        assert np.array_equal(pixels(draw(listed_row)), pixels(draw(row)))
 
 
 def test_a_large_map_is_one_image(swept):

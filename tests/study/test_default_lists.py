@@ -99,3 +99,13 @@ def test_an_entry_of_an_empty_list_is_refused_with_the_remedy():
         study.override({"sweep.plant.x0.0": [0.2, 1.4]})
     with pytest.raises(ConfigError, match=r"plant\.x0: has no entry by default; state the list in the study first"):
         study.override({"plant.x0.0": 0.2})
+
+
+def test_an_element_has_the_unit_of_its_place():
+    zero_dynamics = {"a": [2.0, 1.0], "c": [0.2, 0.1]}
+    study = dj.Study.from_table(AXIS).override(
+        {"plant.initial": [0.1, {"uniform": [0.0, 0.1]}, 0.0, 0.2], "plant.zero_dynamics": zero_dynamics}
+    )
+    assert [study.quantities[f"plant.initial.{index}"].unit for index in range(4)] == ["m", "m/s", "SI", "SI"]
+    with pytest.raises(dj.ConfigError, match=r"plant\.initial: must be a finite number \(.*\[y/s\]\)"):
+        study.override({"plant.initial": [0.1, "fast"]})

@@ -179,6 +179,28 @@ def test_the_support_is_near_the_true_range_where_a_number_occurs_twice(text, lo
     assert found == pytest.approx((low, high), abs=near)
 
 
+@pytest.mark.parametrize(
+    ("text", "low", "high"),
+    [
+        ("=x", -math.inf, math.inf),
+        ("=x/2 + 1", -math.inf, math.inf),
+        ("=x - x/2", -math.inf, math.inf),
+        ("=1 - x**2", -math.inf, 1.0),
+        ("=exp(-x)", math.ulp(0.0), math.inf),
+        ("=log(1 + x**2)", 0.0, math.inf),
+        ("=max(x, 0.5)", 0.5, math.inf),
+        ("=max(x, 0.5)**0.1", 0.5**0.1, math.inf),
+        ("=max(-2, min(x, 3))", -2.0, 3.0),
+        ("=3*cos(x)", -3.0, 3.0),
+        ("=y*x", -math.inf, math.inf),
+        ("=y", 1.0, 2.0),
+    ],
+)
+def test_the_support_is_infinite_where_that_of_a_law_is(text, low, high):
+    laws = {"x": {"normal": [1.0, 0.1]}, "y": {"uniform": [1.0, 2.0]}}
+    assert ParameterTable.from_toml(laws).expression(text).support == pytest.approx((low, high), abs=1e-3)
+
+
 def test_no_value_of_a_random_expression_leaves_its_support():
     rng = np.random.default_rng(1)
     ends = {"a": [0.5, 2.0], "b2": [0.1, 0.6], "R_load": [9.0, 14.0], "w0": [1.0, 3.0]}

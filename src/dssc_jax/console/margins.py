@@ -148,7 +148,8 @@ def show_theory(assessment: Assessment, files: list[Path]) -> None:
             simulated = f"{oscillation.amplitude[index]:.3g}"
             rows.append((name, f"{oscillation.mu[index]:.3g}", simulated, predicted))
     if rows:
-        show_table(("oscillation", "mu [s]", "amplitude of sigma [output/s]", "by describing function"), rows)
+        unit = next(iter(assessment.oscillations.values()))["amplitude"].attrs["units"]
+        show_table(("oscillation", "mu [s]", f"amplitude of sigma [{unit}]", "by describing function"), rows)
     show_line(answer.certificate.text)
     show_proof_statement(answer.proof)
     for name, reason in answer.not_covered.items():

@@ -21,6 +21,7 @@ MOST_CORNERS = 8  # most sides of a box whose corners are all tried
 TOLERANCE = 1e-4  # by which an enclosure may exceed the values found, as a share of the range's width
 LARGEST = float(np.finfo(float).max)
 SMALLEST = math.ulp(0.0)
+INFINITE = 1e100  # size from which an end of the range over an unbounded box counts as infinite
 TURN = 2.0 * math.pi
 
 
@@ -179,8 +180,8 @@ class Range(NamedTuple):
     """The range of a function over a box.
 
     Args:
-        low: A lower bound of its values, near the least one.
-        high: An upper bound, near the greatest.
+        low: A lower bound of its values, near the least one; -inf if there is none.
+        high: An upper bound, near the greatest; inf if there is none.
         undefined: A point near which the function may have no value, with a coordinate for each side of the box; None
             if the function has a value everywhere.
     """
@@ -231,7 +232,29 @@ def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
             if not is_undecided.any():
                 break
             lows, highs = halve(lows[is_undecided], highs[is_undecided], (box.high - box.low)[0])
-    return Range(float(low), float(high), undefined=None)
+    return infinite_ends(function, sides, Range(float(low), float(high), undefined=None))
+
+
+def infinite_ends(function: Function, sides: Sequence[tuple[float, float]], bounds: Range) -> Range:
+    """Put infinity in place of the ends of a range that are finite only since no side of a box exceeds float64.
+
+    They are those that the function leaves at a corner at infinity, as log x does, and those that are very large.
+
+    Args:
+        function: The function.
+        sides: Lower and upper end of each argument, which may be infinite.
+        bounds: Its range over the part of the box within float64.
+    """
+    lower_ends, upper_ends = np.array(sides, float).reshape(-1, 2).T
+    if np.all(np.isfinite([lower_ends, upper_ends])):
+        return bounds
+    corners = corner_points(Interval(lower_ends[None], upper_ends[None], np.ones(lower_ends.shape, bool)[None]))
+    has_value = np.ones(len(corners), bool)
+    with np.errstate(all="ignore"):
+        low_at, high_at, _ = function(*(Interval(column, column, has_value) for column in corners.T))
+    has_no_low = bounds.low <= -INFINITE or bool(np.any(high_at == -np.inf))
+    has_no_high = bounds.high >= INFINITE or bool(np.any(low_at == np.inf))
+    return bounds._replace(low=-math.inf if has_no_low else bounds.low, high=math.inf if has_no_high else bounds.high)
 
 
 def intervals(lows: np.ndarray, highs: np.ndarray) -> list[Interval]:

@@ -1,6 +1,6 @@
 """``Quantity``: unit, meaning and admissible interval of a model's number."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_type_hints
 
 
@@ -10,7 +10,8 @@ class Quantity:
 
     Args:
         unit: SI unit, in which ``y`` and ``u`` stand for the units of the plant's output and command
-            (:mod:`dssc_jax.core.units`); ``"1"``: dimensionless.
+            (:mod:`dssc_jax.core.units`); ``"1"``: dimensionless. Several with commas between them are those of the
+            elements of a list, of which the last one is that of all further elements.
         meaning: The standard term, with the article's symbol.
         above: Exclusive lower bound.
         at_least: Inclusive lower bound.
@@ -38,6 +39,11 @@ class Quantity:
     ends: bool = False
     periodic: bool = False
     whole: bool = False
+
+    def element(self, index: int) -> "Quantity":
+        """The quantity of an element of a list of numbers, with the unit of that element."""
+        units = self.unit.split(", ")
+        return self if len(units) == 1 else replace(self, unit=units[min(index, len(units) - 1)])
 
     def violated_by(self, low: float, high: float) -> str | None:
         """The rule that the values in [low, high] violate, such as ``must be > 0``; None if they violate none."""

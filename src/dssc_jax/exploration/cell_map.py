@@ -42,7 +42,8 @@ def point_columns(failed: np.ndarray) -> dict[str, Any]:
 class CellMap:
     """The failures at the points of a sweep: over one axis as a curve with intervals, over two axes as a map.
 
-    Draws at all values of further axes are counted together, and the title says so.
+    The values of an axis ascend, in whichever order the study lists them. Draws at all values of further axes are
+    counted together, and the title says so.
 
     Args:
         table: The draws of a sweep.
@@ -55,9 +56,9 @@ class CellMap:
         axes = table.result.study.axes
         self.names = list(axes)[:2]
         pooled_axes = list(axes)[2:]
-        values = [axes[name] for name in self.names]
+        values = [sorted(axes[name]) for name in self.names]
         grid = [len(axis_values) for axis_values in values]
-        failed = table.result.failed.transpose(*self.names, *pooled_axes, "draw").values
+        failed = table.result.failed.sortby(self.names).transpose(*self.names, *pooled_axes, "draw").values
         data = point_columns(failed.reshape(math.prod(grid), -1))
         places = np.indices(grid).reshape(len(values), -1)  # index of each point along each axis
         for index, name in enumerate(self.names):
@@ -68,11 +69,11 @@ class CellMap:
         select = CustomJS(args={"source": source, "cells": self.cells, "names": self.names}, code=script + SELECT_CELL)
         self.cells.selected.js_on_change("indices", select)
 
-    def _figure(self, values: list[tuple[float, ...]], pooled_axes: list[str]) -> figure:
+    def _figure(self, values: list[list[float]], pooled_axes: list[str]) -> figure:
         """Make the curve or the map.
 
         Args:
-            values: Values of each of the one or two axes.
+            values: Values of each of the one or two axes, ascending.
             pooled_axes: Names of the axes whose draws are counted together.
         """
         note = f", draws of all values of {', '.join(pooled_axes)} together" if pooled_axes else ""

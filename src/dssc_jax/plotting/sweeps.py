@@ -2,6 +2,7 @@
 
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -197,7 +198,9 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
 
 
 def over_two_axes(result: Result) -> Result:
-    """Reduce a result to its first two axes with several values; the others are fixed at their first value.
+    """Reduce a result to its first two axes with several values, in ascending order, as a figure needs them.
+
+    The other axes are fixed at their first value, as the study lists them.
 
     Raises:
         ValueError: The result has no sweep.
@@ -208,7 +211,12 @@ def over_two_axes(result: Result) -> Result:
     axes_with_values = [name for name in axes if result.dataset.sizes[name] > 1]
     plotted_axes = axes_with_values[:2] or axes[:1]
     first_values = {name: 0 for name in axes if name not in plotted_axes}  # index by axis
-    return result.at(first_values) if first_values else result
+    return ascending(result.at(first_values), plotted_axes)
+
+
+def ascending(result: Result, axes: Sequence[str]) -> Result:
+    """The result with the points along some axes of its sweep sorted by value; a study may list them in any order."""
+    return replace(result, dataset=result.dataset.sortby(list(axes)))
 
 
 def fixed_parameters_text(result: Result) -> str:

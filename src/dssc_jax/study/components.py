@@ -22,7 +22,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.fields import FieldSpec, field_specs, is_record, table_model
 from dssc_jax.study.importing import import_object
 from dssc_jax.study.laws import is_law, is_number
-from dssc_jax.study.numbers import Number, leaves_of, numbers_by_name, parse_number
+from dssc_jax.study.numbers import Number, leaves_of, numbers_of_field, parse_number
 from dssc_jax.study.parameters import Expression
 from dssc_jax.study.table_errors import first_error, value_errors_at
 from dssc_jax.study.tables import merge_tables, with_default
@@ -222,8 +222,7 @@ def parse_params(
         fields[name] = leaves_of(value)
         mark = specs[name].mark
         if isinstance(mark, Quantity) and value is not None and not mark.data:
-            records = [Number.of(path, mark, item, path) for path, item in numbers_by_name(name, value).items()]
-            numbers_by_field[name] = tuple(records)
+            numbers_by_field[name] = numbers_of_field(name, mark, value)
     numbers: list[Number] = []
     for name in specs:
         numbers += numbers_by_field.get(name, ())

@@ -7,7 +7,6 @@ from itertools import product
 from typing import Any
 
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.laws import LAWS, Law, UncertainValue, is_number, parse_law
 from dssc_jax.study.parameters import Expression, ParameterTable, require_plain
 from dssc_jax.study.tables import PARAMETERS
@@ -164,17 +163,23 @@ def parse_numbers(value: object, quantity: Quantity, depth: int) -> Any:
     if not isinstance(value, list | tuple):
         item_text = "rows of numbers" if depth > 1 else "numbers"
         raise ValueError(f"must be a list of {item_text} ({quantity.meaning} [{quantity.unit}]), got {value!r}")
-    return tuple(parse_numbers(item, quantity, depth - 1) for item in value)
+    return tuple(parse_numbers(item, quantity.element(index), depth - 1) for index, item in enumerate(value))
 
 
-def numbers_by_name(name: str, value: object) -> TomlTable:
-    """The numbers in nested tuples by dotted name, such as ``a.1.0``; a single number has the name itself."""
+def numbers_of_field(name: str, quantity: Quantity, value: Any) -> tuple[Number, ...]:
+    """Records of the numbers in nested tuples, with names such as ``a.1.0``; a single number has the name itself.
+
+    Args:
+        name: Name of the field.
+        quantity: Unit, meaning and admissible interval of each number.
+        value: A parsed number, or tuples of them.
+    """
     if not isinstance(value, tuple):
-        return {name: value}
-    numbers: TomlTable = {}
+        return (Number.of(name, quantity, value, name),)
+    numbers: list[Number] = []
     for index, part in enumerate(value):
-        numbers |= numbers_by_name(f"{name}.{index}", part)
-    return numbers
+        numbers += numbers_of_field(f"{name}.{index}", quantity.element(index), part)
+    return tuple(numbers)
 
 
 def leaves_of(value: Any) -> Any:

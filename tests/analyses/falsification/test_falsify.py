@@ -161,7 +161,7 @@ def test_a_flat_search_ends(study):
         (
             {"plant.k_p": 1.0, "plant.a_p": 1.0, "plant.initial": [0.0, 0.0], "disturbance.value": 0.1},
             {},
-            "no number is uncertain",
+            "no number is uncertain, and a search changes only numbers with laws: random noise .* stay those of draw 0",
         ),
         ({}, {"budget": 5}, "must be in 32 .."),
     ],

@@ -48,6 +48,21 @@ def test_a_resonance_that_is_unstable_in_some_draws_turns_the_other_way_to_the_s
     assert np.ptp(phase[:, 0]) < 1.0
 
 
+@pytest.mark.parametrize("share", [0.2, 0.7])
+def test_loops_of_the_other_sign_keep_to_one_side(share):
+    """L = k/(z - 1)/(1 - p/z) with a sign and a pole that differ: half a turn apart, more or less, at every frequency."""
+    rng = np.random.default_rng(1)
+    poles = rng.uniform(0.6, 0.9, 200)
+    signs = np.where(rng.uniform(size=200) < share, -1.0, 1.0)
+    loops = np.stack([sign * 0.05 / (Z - 1.0) / (1.0 - pole / Z) for sign, pole in zip(signs, poles, strict=True)])
+    phase = np.degrees(joint_phase(loops, np.stack([np.ones(200), poles], axis=1), ANGLES))
+    assert np.abs(np.diff(phase, axis=1)).max() < 90.0
+    positive, negative = (np.median(phase[signs == sign], axis=0) for sign in (1.0, -1.0))
+    np.testing.assert_allclose(np.abs(positive - negative), HALF_TURN, atol=10.0)
+    for sign in (1.0, -1.0):
+        assert np.ptp(phase[signs == sign], axis=0).max() < 60.0
+
+
 def test_pole_phases_are_those_of_a_dense_grid():
     rng = np.random.default_rng(3)
     poles = rng.uniform(0.0, 1.3, (5, 4)) * np.exp(1j * rng.uniform(-np.pi, np.pi, (5, 4)))

@@ -71,3 +71,13 @@ def test_a_slack_that_is_no_number_fails():
 def test_values_part_a_length():
     walk = Walk(0.003, 0.1, points=7, parted=2.0)
     assert np.allclose(2.0 / walk.grid, np.round(2.0 / walk.grid), rtol=1e-12)
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_values_that_part_a_length_stay_within_the_bounds(log):
+    """10 s / 0.8 s = 12.5 samples: the nearest whole number, 12, would be a value beyond the end."""
+    for start, end in [(0.01, 0.8), (0.0298, 0.8), (0.8, 0.0298), (0.1, 0.5)]:
+        grid = Walk(start, end, log, points=7, parted=10.0).grid
+        assert min(start, end) * (1.0 - 1e-12) <= grid.min() <= grid.max() <= max(start, end) * (1.0 + 1e-12)
+        assert np.allclose(10.0 / grid, np.round(10.0 / grid), rtol=1e-12)
+    assert grid[[0, -1]].tolist() == [0.1, 0.5]

@@ -127,12 +127,13 @@ def test_the_lag_of_a_sensor_has_a_margin(study):
 
 def test_sample_time(study):
     few = study.override({"draws": 8, "requirement": [{"metric": "command_tv", "after": 2.0, "max": 2.0}]})
-    found = dj.margin(few, over="loop.sample_time", bounds=(0.02, 0.6), log=True, points=3)
+    found = dj.margin(few, over="loop.sample_time", bounds=(0.02, 0.65), log=True, points=3)
     grid = found.dataset["value"].values
     verdicts = [dj.run(few.override({"loop.sample_time": float(t)})).dataset["outcome"].values == 0 for t in grid]
     assert np.array_equal(verdicts, found.dataset["slack"].values >= 0)
     assert 0 < np.sum(verdicts) < np.size(verdicts)
     assert set(found.dataset["critical"].dropna("draw").values) <= set(grid)
+    assert found.summary()["bounds"] == [0.02, 0.6] == [grid[0], grid[-1]]  # 6 s are no whole multiple of 0.65 s
 
 
 def test_spread_is_a_run_under_wider_laws(study):

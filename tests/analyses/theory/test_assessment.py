@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.console.margins import show_theory
 from tests.design.test_certification import table
 
 WALK = {"over": "unmodelled.mu", "bounds": (0.002, 0.2), "log": True, "points": 6, "bisections": 8}
@@ -40,6 +41,15 @@ def test_every_part_is_the_one_that_is_computed_alone(study, found):
     assert set(found.oscillations) == {"dssc", "smc"}
     assert found.performance.certificate.value == 0.0
     assert not found.not_covered
+
+
+def test_the_amplitudes_are_printed_in_the_unit_of_sigma(found, study, capsys):
+    show_theory(found, [])
+    assert "amplitude of sigma [m/s]" in " ".join(capsys.readouterr().out.split())
+    loop = study.override({"units": {"output": "rad/s"}})
+    short = dj.theory.assess(loop, **{**WALK, "points": 2, "bisections": 1})
+    show_theory(short, [])
+    assert "amplitude of sigma [rad/s^2]" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_parts_tell_one_story(found):

@@ -63,13 +63,19 @@ def test_a_field_is_parsed_printed_and_copied(name):
         assert tuned.config.metrics.window == read.config.metrics.window
         assert {m.name: m.window for m in tuned.measures}["error_rms"] == read.config.metrics.window
         if place == "requirement":
-            said = entry.words.format(value)
+            said = entry.words.format(value, output="m")
             assert said in requirement.text
             assert said in "".join(str(part) for part in requirement_text(requirement))
             assert said in variables(read)[requirement.name].attributes["long_name"]
             assert requirement.measure.name.endswith(entry.suffix.format(value))
             usual = study(metrics={entry.key: value}).requirements[0].measure
             assert usual.name == "settling_time_percent"
+
+
+def test_a_settling_band_has_the_unit_of_the_output():
+    required = [{"metric": "settling_time", "settling_band": 0.5, "max": 9.0}]
+    (requirement,) = study(requirement=required, units={"output": "rad/s"}).requirements
+    assert requirement.text == "settling_time with a settling band of 0.5 rad/s <= 9 s"
 
 
 @pytest.mark.parametrize("name", FIELDS)

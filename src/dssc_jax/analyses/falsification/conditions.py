@@ -5,6 +5,11 @@ from dssc_jax.closed_loop.metrics.requirements import counted_places
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.study import Study
 
+NOTHING_TO_SEARCH = (
+    "no number is uncertain, and a search changes only numbers with laws: random noise and signals of the loop stay "
+    "those of draw 0; give laws, or count the draws that fail by run"
+)
+
 
 def require_falsifiable(study: Study, budget: int) -> None:
     """Require a study in which a search can find a failing draw, and an admissible number of simulations.
@@ -13,7 +18,7 @@ def require_falsifiable(study: Study, budget: int) -> None:
         ConfigError: Nothing is uncertain, nothing is required, or the budget is out of range.
     """
     if not study.without_sweep().laws:
-        raise ConfigError(study.source, "no number is uncertain, so all draws are equal; give laws")
+        raise ConfigError(study.source, NOTHING_TO_SEARCH)
     if not study.requirements:
         raise ConfigError(study.source, "nothing is required, so nothing can fail; give a [[requirement]]")
     if not LEAST_BUDGET <= budget <= MOST_BUDGET:

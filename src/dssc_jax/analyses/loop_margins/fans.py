@@ -1,9 +1,13 @@
 """Quantiles of frequency responses over the draws, a fan at each frequency; their phases are unwrapped together."""
 
+from itertools import pairwise
+
 import numpy as np
 
 FAN_LEVELS = (0.05, 0.5, 0.95)  # of the quantiles
 TURN = 2.0 * np.pi  # [rad]
+FARTHEST = 0.75 * TURN  # difference of a curve from the median from which it is shifted by whole turns [rad]
+OTHER_SIGN = 0.125  # share of a turn by which a loop that is half a turn away counts as below
 
 FANS = {
     "loop_gain": ("1", "magnitude of L"),
@@ -43,8 +47,8 @@ def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.n
     A phase is known up to whole turns. Each curve is made continuous over frequency. The part of its phase that comes
     from its poles is computed exactly, since a light resonance turns the phase by half a turn between two frequencies
     of the grid. The curves are then shifted by whole turns until they agree at the frequency where most loops cross the
-    gain 1. A curve may still lie more than half a turn from the median of all, as beyond a resonance that is unstable
-    in some draws; it is shifted there.
+    gain 1; a loop of the other sign lies half a turn below there. A curve may still move to a whole turn from the
+    median of all, as beyond a resonance that is unstable in some draws; it is shifted there (:func:`turns_apart`).
 
     Args:
         loop: L, shape (draws, frequencies).
@@ -57,12 +61,30 @@ def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.n
     with np.errstate(divide="ignore"):
         log_gain = np.log(np.abs(loop))
     distance_from_crossover = np.median(np.abs(log_gain), axis=0)
-    crossover_phase = phase[:, np.argmin(distance_from_crossover)]
-    middle = np.angle(np.mean(np.exp(1j * crossover_phase)))
+    crossover = int(np.argmin(distance_from_crossover))
+    middle = np.angle(np.mean(np.exp(1j * phase[:, crossover])))
     middle -= TURN * np.ceil(middle / TURN - 0.25)  # within (-3 pi/2, pi/2], around an integrator's
-    phase -= TURN * np.round((crossover_phase - middle) / TURN)[:, None]
-    median = np.median(phase, axis=0)
-    return phase - TURN * np.round((phase - median) / TURN)
+    phase -= TURN * np.round((phase[:, crossover] - middle) / TURN + OTHER_SIGN)[:, None]
+    return phase - TURN * turns_apart(phase - np.median(phase, axis=0), crossover)
+
+
+def turns_apart(difference: np.ndarray, start: int) -> np.ndarray:
+    """Whole turns by which curves of phase differ from their median, shape (draws, frequencies).
+
+    The number of a curve changes only where the rest exceeds :data:`FARTHEST`. So a curve that is half a turn from the
+    median, as that of a loop of the other sign, keeps its side at all frequencies.
+
+    Args:
+        difference: Difference of each curve from the median [rad], shape (draws, frequencies).
+        start: Index of the frequency from which the curves are followed to both sides; no curve is shifted there.
+    """
+    turns = np.zeros(difference.shape)
+    frequencies = difference.shape[1]
+    for before, after in [*pairwise(range(start, frequencies)), *pairwise(range(start, -1, -1))]:
+        kept = turns[:, before]
+        is_far = np.abs(difference[:, after] - TURN * kept) > FARTHEST
+        turns[:, after] = np.where(is_far, np.round(difference[:, after] / TURN), kept)
+    return turns
 
 
 def pole_phase(poles: np.ndarray, angles: np.ndarray) -> np.ndarray:

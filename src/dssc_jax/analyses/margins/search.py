@@ -15,6 +15,7 @@ from dssc_jax.study import Study
 
 CLOCK = "loop.sample_time"
 """Dotted name of the sample time, which is fixed before a loop is traced."""
+ROUNDING = 1e-9  # relative error within which a quotient of times is a whole number
 
 WalkSlack = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(indices of draws, a value for each) -> signed slacks, negative if the draw fails."""
@@ -38,7 +39,7 @@ class Walk:
         log: Whether the values are even in the logarithm.
         points: Number of values in the bracketing grid, including both ends.
         parted: The duration of the flight [s], if the number is the sample time: values then move to the nearest
-            value that divides the duration into whole samples. None for any other number.
+            value between both ends that divides the duration into whole samples. None for any other number.
     """
 
     start: float
@@ -53,11 +54,14 @@ class Walk:
             value = np.exp((1.0 - share) * np.log(self.start) + share * np.log(self.end))
         else:
             value = (1.0 - share) * self.start + share * self.end
-        value = np.clip(value, min(self.start, self.end), max(self.start, self.end))
+        low = min(self.start, self.end)
+        high = max(self.start, self.end)
+        value = np.clip(value, low, high)
         if self.parted is None:
             return value
-        samples = np.round(self.parted / value)
-        return self.parted / samples
+        fewest = np.ceil(self.parted / high * (1.0 - ROUNDING))
+        most = max(np.floor(self.parted / low * (1.0 + ROUNDING)), 1.0)
+        return self.parted / np.clip(np.round(self.parted / value), fewest, most)
 
     @property
     def grid(self) -> np.ndarray:

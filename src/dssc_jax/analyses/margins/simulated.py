@@ -127,6 +127,8 @@ def admissible_walk(
 ) -> Walk:
     """Make the walk of a search, if its settings are admissible.
 
+    Its ends are values that it reaches: the last sample times within the bounds that divide the flight.
+
     Args:
         over: Dotted name of the number.
         bounds: The safe end, then the other end.
@@ -149,7 +151,11 @@ def admissible_walk(
         raise ConfigError("points", f"must be in 2 .. {MOST_POINTS}, got {points}")
     if not 0 <= bisections <= MOST_BISECTIONS:
         raise ConfigError("bisections", f"must be in 0 .. {MOST_BISECTIONS}, got {bisections}")
-    return Walk(start=float(start), end=float(end), log=log, points=points, parted=parted)
+    walk = Walk(start=float(start), end=float(end), log=log, points=points, parted=parted)
+    if parted is None:
+        return walk
+    first, *_, last = walk.grid.tolist()
+    return replace(walk, start=first, end=last)
 
 
 def numbers_along(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:

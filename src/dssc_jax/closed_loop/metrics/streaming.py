@@ -344,7 +344,7 @@ class Measure:
     @property
     def window_text(self) -> str:
         """The window in words, such as `` after 2 s``; empty if no value of it needs mention."""
-        return self.window.words(self.default_window)
+        return self.window.words(self.default_window, self.units.output)
 
     @property
     def metric(self) -> Metric:

@@ -21,7 +21,7 @@ class WindowEntry(NamedTuple):
         key: Name in the study's tables ``[metrics]`` and ``[[requirement]]``.
         meaning: Meaning in words, with the unit.
         suffix: Format of the value in the name of a measure.
-        words: Format of the value in the text of a requirement.
+        words: Format of the value in the text of a requirement; ``{output}`` stands for the unit of the output.
         bounds: Admissible values, with pydantic's names of bounds.
         relative: Whether texts omit a value that equals the value in ``[metrics]``; False: they omit a value that
             equals the value of :data:`WHOLE_RUN`.
@@ -61,7 +61,7 @@ class Window:
             "settling_band",
             "|e| below which the loop counts as settled, in the output's unit",
             "_within_{:.12g}",
-            " with a settling band of {:g}",
+            " with a settling band of {:g} {output}",
             {"gt": 0.0},
         ),
     )
@@ -140,14 +140,19 @@ class Window:
                 parts.append(entry.suffix.format(value))
         return "".join(parts)
 
-    def words(self, default_window: "Window") -> str:
-        """The window in the text of a requirement, such as `` after 2 s``; usual values are omitted."""
+    def words(self, default_window: "Window", output: str) -> str:
+        """The window in the text of a requirement, such as `` after 2 s``; usual values are omitted.
+
+        Args:
+            default_window: The window of the study's ``[metrics]``.
+            output: Unit of the output.
+        """
         parts = []
         for name, entry in window_entries().items():
             value = getattr(self, name)
             usual_window = default_window if entry.relative else WHOLE_RUN
             if value != getattr(usual_window, name):
-                parts.append(entry.words.format(value))
+                parts.append(entry.words.format(value, output=output))
         return "".join(parts)
 
 

@@ -22,7 +22,7 @@ class NormalFormParams(NamedTuple):
     k_p: Annotated[Scalar, Quantity("y/(s^2 u)", "high-frequency gain k_p", above=0.0)] = 1.0
     a_p: Annotated[Scalar, Quantity("1/s", "damping a_p")] = 1.0
     zero_dynamics: ZeroDynamics | None = None
-    initial: Annotated[tuple[Scalar, ...], Quantity("y, y/s", "initial x1, x2, then eta")] = (0.0, 0.0)
+    initial: Annotated[tuple[Scalar, ...], Quantity("y, y/s, SI", "initial x1, x2, then eta")] = (0.0, 0.0)
 
 
 class NormalFormState(NamedTuple):
