@@ -50,7 +50,7 @@ def test_a_resonance_that_is_unstable_in_some_draws_turns_the_other_way_to_the_s
 
 @pytest.mark.parametrize("share", [0.2, 0.7])
 def test_loops_of_the_other_sign_keep_to_one_side(share):
-    """L = k/(z - 1)/(1 - p/z) with a sign and a pole that differ: half a turn apart, more or less, at every frequency."""
+    """L = k/(z - 1)/(1 - p/z), whose sign and pole differ: half a turn apart, more or less, at every frequency."""
     rng = np.random.default_rng(1)
     poles = rng.uniform(0.6, 0.9, 200)
     signs = np.where(rng.uniform(size=200) < share, -1.0, 1.0)
