@@ -179,6 +179,20 @@ def test_the_order_of_the_values_of_a_sweep_changes_no_figure(swept):
         assert np.array_equal(pixels(draw(listed_row)), pixels(draw(row)))
 
 
+def test_values_lie_in_the_middle_of_their_cells_on_a_logarithmic_axis(swept):
+    """Values from 0.01 to 1 by factors of 10: a cell reaches to the geometric mean of neighbours."""
+    axes = {"controller.functions.tau_av": {"values": [0.01, 0.1, 1.0]}, "controller.l0": {"values": [0.5, 1.0]}}
+    study = swept.study.override({"sweep": axes})
+    grid = swept.dataset.isel({"controller.functions.tau_av": [0, 1, 2], "controller.l0": [0, 1]})
+    data = grid.assign_coords({name: np.asarray(values) for name, values in study.axes.items()})
+    mesh = dj.plot.probability(dj.Result(study, data)).axes[0].collections[0]
+    corners = mesh.get_coordinates()
+    by_axis = [np.unique(corners[..., i].round(12)) for i in range(2)]
+    expected = [[0.25, 0.75, 1.25], 10.0 ** np.array([-2.5, -1.5, -0.5, 0.5])]
+    for edges in expected:
+        assert any(len(found) == len(edges) and np.allclose(found, edges) for found in by_axis)
+
+
 def test_a_large_map_is_one_image(swept):
     """61 x 61 points of the one draw repeated: cells as an image, text and lines as vectors."""
     axes = {name: {"linspace": [0.1, 1.0, 61]} for name in ("controller.functions.tau_av", "controller.l0")}

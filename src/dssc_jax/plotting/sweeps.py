@@ -14,7 +14,7 @@ from matplotlib.ticker import PercentFormatter
 from matplotlib.typing import LineStyleType
 
 from dssc_jax.closed_loop.metrics.streaming import Measure
-from dssc_jax.plotting.cells import OUTLINE, capped_limits, contour, largest_colour, needs_bitmap
+from dssc_jax.plotting.cells import OUTLINE, capped_limits, cell_edges, contour, largest_colour, needs_bitmap
 from dssc_jax.plotting.curves import probability_curve, typical_curve
 from dssc_jax.plotting.draws import metric_bounds
 from dssc_jax.plotting.standings import standing_colours, standing_handles, standing_of
@@ -151,7 +151,7 @@ def standing(result: Result, ax: Axes | None = None) -> Figure:
     standings = standing_of(proved, share)
     x = result.dataset[across].values
     y = result.dataset[down].values
-    mesh = ax.pcolormesh(x, y, standings, cmap=standing_colours(), vmin=-0.5, vmax=3.5, shading="nearest")
+    mesh = ax.pcolormesh(*map_edges(x, y), standings, cmap=standing_colours(), vmin=-0.5, vmax=3.5)
     mesh.set(edgecolor="white", linewidth=0.4, rasterized=needs_bitmap(share))
     proved_with_failures = proved & (share > 0.0)  # of a requirement that the proof does not cover
     for i, j in np.argwhere(proved_with_failures):
@@ -241,7 +241,7 @@ def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
     y = result.dataset[down].values
     bitmap = needs_bitmap(share)
     top = largest_colour(share)
-    image = ax.pcolormesh(x, y, share, cmap="cividis", vmin=0.0, vmax=top, shading="nearest", rasterized=bitmap)
+    image = ax.pcolormesh(*map_edges(x, y), share, cmap="cividis", vmin=0.0, vmax=top, rasterized=bitmap)
     contour(ax, x, y, share, 0.5, "-")
     contour(ax, x, y, upper, 0.05, "--")
     text = f"failure probability ({failed.shape[-1]} draws)"
@@ -270,7 +270,7 @@ def median_map(ax: Axes, result: Result, measure: Measure, down: str, across: st
     norm = "log" if is_log(finite) else "linear"
     cap = colour_cap(result, measure) if norm == "log" else None
     limits = capped_limits(finite, cap)
-    image = ax.pcolormesh(x, y, median, cmap="viridis", norm=norm, shading="nearest", rasterized=needs_bitmap(median))
+    image = ax.pcolormesh(*map_edges(x, y), median, cmap="viridis", norm=norm, rasterized=needs_bitmap(median))
     if limits is not None:
         image.set_clim(*limits)
     text = textwrap.fill(f"median {label(metric.attrs)}", 40)
@@ -293,6 +293,19 @@ def colour_cap(result: Result, measure: Measure) -> float | None:
     return 30.0 * min(upper_limits) if upper_limits else None
 
 
+def map_edges(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the edges of a map's cells, half way between the values on the scale of each axis.
+
+    Args:
+        x: Values along the horizontal axis, ascending, shape (n,).
+        y: Values along the vertical axis, ascending, shape (m,).
+
+    Returns:
+        Edges along both axes, shape (n + 1,) and (m + 1,).
+    """
+    return cell_edges(x, is_log(x)), cell_edges(y, is_log(y))
+
+
 def finish_map(ax: Axes, result: Result, down: str, across: str, keys: Sequence[LineKey]) -> None:
     """Add what all maps show: the certified region, the study's own values, scales, labels and a legend below.
 
@@ -309,7 +322,7 @@ def finish_map(ax: Axes, result: Result, down: str, across: str, keys: Sequence[
     if certified is not None:
         inside = certified.transpose(down, across).values
         hatched = np.ma.masked_array(np.ones(inside.shape), mask=~inside)
-        ax.pcolor(x, y, hatched, shading="nearest", facecolor="none", edgecolor="white", hatch="//", linewidth=0.0)
+        ax.pcolor(*map_edges(x, y), hatched, facecolor="none", edgecolor="white", hatch="//", linewidth=0.0)
     ax.grid(False)
     set_scale(ax, x)
     set_scale(ax, y, "y")
