@@ -61,7 +61,7 @@ from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts, wind_doub
 from dssc_jax.flight_logs.fit.start_speeds import start_speed_doubts
 from dssc_jax.flight_logs.fit.unidentified import UnidentifiedNumbers
 from dssc_jax.flight_logs.fit.width_reasons import open_numbers, widest_growth, width_reasons
-from dssc_jax.flight_logs.fit.wrong_columns import column_doubts
+from dssc_jax.flight_logs.fit.wrapped_outputs import column_causes
 from dssc_jax.flight_logs.hints.reset_hints import require_no_jumps
 from dssc_jax.flight_logs.hints.starts import fixed_integrals
 from dssc_jax.flight_logs.reading.gaps import gap_text
@@ -203,7 +203,7 @@ def none_identified(problem: FitProblem, best: Minimum, unidentified: Unidentifi
     """
     results = explain(problem, best.x)
     require_explained(problem, best, results)
-    causes = (*doubts(problem, best.x, results), *column_doubts(problem, best))
+    causes = (*doubts(problem, best.x, results), *column_causes(problem, best))
     doubt_texts = "".join(f". {doubt.text}" for doubt in causes)
     return NotIdentifiable(
         f"the flight identifies none of {', '.join(unidentified.widths)}: their laws are narrower than what it leaves "
@@ -221,7 +221,7 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
     place = unexplained_place(results)
     if place is None:
         return
-    causes = column_doubts(problem, best)
+    causes = column_causes(problem, best)
     is_explained = False
     if not causes:
         causes, is_explained = refusal_causes(problem, best, results)
