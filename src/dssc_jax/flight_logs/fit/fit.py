@@ -33,12 +33,13 @@ from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinim
 from dssc_jax.flight_logs.fit.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.fit.fitted_numbers import insensitive_numbers, numbers_to_fit, require_stated_times
 from dssc_jax.flight_logs.fit.freed_commands import freed_commands
+from dssc_jax.flight_logs.fit.joint_causes import joint_doubts
 from dssc_jax.flight_logs.fit.late_outputs import delay_doubts
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
 from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch, find_minima
 from dssc_jax.flight_logs.fit.outliers import outlier_doubts
-from dssc_jax.flight_logs.fit.part_doubts import NO_DOUBTS, part_doubts, part_doubts_of_refusal
+from dssc_jax.flight_logs.fit.part_doubts import NO_DOUBTS, PartDoubts, part_doubts, part_doubts_of_refusal
 from dssc_jax.flight_logs.fit.possible_values import require_plausible, require_possible
 from dssc_jax.flight_logs.fit.prediction import Prediction, prediction
 from dssc_jax.flight_logs.fit.refusals import (
@@ -254,6 +255,10 @@ def refusal_causes(
     doubts_of_start = start_speed_doubts(problem, best, parts.residual)
     if doubts_of_start:
         parts = NO_DOUBTS
+    elif not doubts_of_dropouts:
+        joint = joint_doubts(problem, best, results[0], parts.residual)
+        if joint:
+            doubts_of_delays, parts = (), PartDoubts(joint)
     causes = (
         *(doubts_of_start or output_start_doubts(problem, best.x, results)),
         *doubts_of_outliers,
