@@ -291,7 +291,7 @@ def fitted_minimum(
     results = explain(problem, x)
     require_explained(problem, search.best, results)
     require_plausible(problem, x, results)
-    require_possible(problem, x)
+    require_possible(problem, x, results)
     fitted = problem.fitted
     fitted_names = problem.fitted_names
     require_identifiable(fitted_names, marginal_information(search.best.equations.information, fitted))
