@@ -28,12 +28,13 @@ PID = Pid()
 
 
 class Axis(NamedTuple):
-    """What flies: x'' = -A_P x' + K_P z + wind - drag x' |x'|, with z the command, or behind a lag.
+    """What flies: x'' = -A_P x' + K_P z + wind - drag x' |x'| - friction, with z the command, or behind a lag.
 
     Args:
         start: Place and speed at the start.
         actuator: Time constant of the actuator [s]; 0: there is none.
         drag: Force at a speed of 1.
+        friction: Force of constant size against the speed.
         wind: Constant force.
         gust: Standard deviation of a gust of 0.5 s.
         noise: Standard deviation of the noise of y.
@@ -44,6 +45,7 @@ class Axis(NamedTuple):
     start: tuple[float, float] = (0.0, 0.0)
     actuator: float = 0.0
     drag: float = 0.0
+    friction: float = 0.0
     wind: float = 0.0
     gust: float = 0.0
     noise: float = 0.002
@@ -114,7 +116,7 @@ def fly(seed: int = 0, axis: Axis = AXIS, gains: Pid = PID, factor: float = 1.0,
         rows.append((reading, v + 0.005 * random.normal(), desired, command))
         for _ in range(FINE):
             thrust += (command - thrust) * (-np.expm1(-step / axis.actuator) if axis.actuator else 1.0)
-            push = K_P * thrust + axis.wind + gust
+            push = K_P * thrust + axis.wind + gust - axis.friction * np.tanh(v / 0.005)
             middle = v + 0.5 * step * (push - A_P * v - axis.drag * v * abs(v))
             y += step * middle
             v += step * (push - A_P * middle - axis.drag * middle * abs(middle))

@@ -78,3 +78,12 @@ def test_steps_by_a_turn_are_those_of_a_wrapped_angle(flight):
     angle = study.override({"units": {"output": "rad"}})
     assert step_cause(angle, 0, [1.2, 5.0], [-6.2, 6.33]) == WRAPPED
     assert step_cause(angle, 0, [1.2, 5.0], [-6.2, 1.0]) == step_cause(study, 0, [1.2, 5.0], [-6.2, 6.33]) == RESET
+
+
+def test_steps_by_a_turn_are_told_without_the_unit_of_an_angle(flight):
+    """Two or more, each nearly a turn; one alone, or a rough one, is a reset."""
+    study = flight[0]
+    assert (
+        step_cause(study, 0, [1.2, 5.0], [-6.27, 6.29]) == step_cause(study, 0, [1.2, 5.0], [359.0, 361.0]) == WRAPPED
+    )
+    assert step_cause(study, 0, [1.2], [-6.28]) == step_cause(study, 0, [1.2, 5.0], [-6.28, 360.0]) == RESET

@@ -18,6 +18,7 @@ from dssc_jax.flight_logs.fit.estimates import Fitted
 from dssc_jax.flight_logs.fit.fit import fit_log
 from dssc_jax.flight_logs.fit.refusals import FitRefused, NotIdentifiable
 from dssc_jax.flight_logs.fit.search_limits import MOST_SIMULATIONS, SearchLimits
+from dssc_jax.flight_logs.hints.output_steps import WRAPPED
 from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight, short_log
 from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.flight_logs.replay import LogReplay, replay_log
@@ -133,7 +134,8 @@ def print_refusal(refusal: FitRefused, study: Study, replay: LogReplay, options:
     """
     replay_summary = replay.summary(study)
     is_undetermined = isinstance(refusal, NotIdentifiable)
-    reason = str(refusal) if is_undetermined else f"{refusal}{fault_text(replay.warnings)}"
+    others = [warning for warning in replay.warnings if not (warning.code == "output-jump" and WRAPPED in str(refusal))]
+    reason = str(refusal) if is_undetermined else f"{refusal}{fault_text(others)}"
     if options.as_json:
         verdict = {"identifiable": False} if is_undetermined else {"explained": False}
         print(json.dumps({"study": study.name, **verdict, "reason": reason, **replay_summary}))

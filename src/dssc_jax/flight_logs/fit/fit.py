@@ -33,12 +33,13 @@ from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinim
 from dssc_jax.flight_logs.fit.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.fit.fitted_numbers import insensitive_numbers, numbers_to_fit, require_stated_times
 from dssc_jax.flight_logs.fit.freed_commands import freed_commands
+from dssc_jax.flight_logs.fit.joint_causes import joint_doubts
 from dssc_jax.flight_logs.fit.late_outputs import delay_doubts
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
 from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch, find_minima
 from dssc_jax.flight_logs.fit.outliers import outlier_doubts
-from dssc_jax.flight_logs.fit.part_doubts import NO_DOUBTS, part_doubts, part_doubts_of_refusal
+from dssc_jax.flight_logs.fit.part_doubts import NO_DOUBTS, PartDoubts, part_doubts, part_doubts_of_refusal
 from dssc_jax.flight_logs.fit.possible_values import require_plausible, require_possible
 from dssc_jax.flight_logs.fit.prediction import Prediction, prediction
 from dssc_jax.flight_logs.fit.refusals import (
@@ -61,7 +62,7 @@ from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts, wind_doub
 from dssc_jax.flight_logs.fit.start_speeds import start_speed_doubts
 from dssc_jax.flight_logs.fit.unidentified import UnidentifiedNumbers
 from dssc_jax.flight_logs.fit.width_reasons import open_numbers, widest_growth, width_reasons
-from dssc_jax.flight_logs.fit.wrong_columns import column_doubts
+from dssc_jax.flight_logs.fit.wrapped_outputs import column_causes
 from dssc_jax.flight_logs.hints.reset_hints import require_no_jumps
 from dssc_jax.flight_logs.hints.starts import fixed_integrals
 from dssc_jax.flight_logs.reading.gaps import gap_text
@@ -203,7 +204,7 @@ def none_identified(problem: FitProblem, best: Minimum, unidentified: Unidentifi
     """
     results = explain(problem, best.x)
     require_explained(problem, best, results)
-    causes = (*doubts(problem, best.x, results), *column_doubts(problem, best))
+    causes = (*doubts(problem, best.x, results), *column_causes(problem, best))
     doubt_texts = "".join(f". {doubt.text}" for doubt in causes)
     return NotIdentifiable(
         f"the flight identifies none of {', '.join(unidentified.widths)}: their laws are narrower than what it leaves "
@@ -221,7 +222,7 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
     place = unexplained_place(results)
     if place is None:
         return
-    causes = column_doubts(problem, best)
+    causes = column_causes(problem, best)
     is_explained = False
     if not causes:
         causes, is_explained = refusal_causes(problem, best, results)
@@ -254,6 +255,10 @@ def refusal_causes(
     doubts_of_start = start_speed_doubts(problem, best, parts.residual)
     if doubts_of_start:
         parts = NO_DOUBTS
+    elif not doubts_of_dropouts:
+        joint = joint_doubts(problem, best, results[0], parts.residual)
+        if joint:
+            doubts_of_delays, parts = (), PartDoubts(joint)
     causes = (
         *(doubts_of_start or output_start_doubts(problem, best.x, results)),
         *doubts_of_outliers,
@@ -286,7 +291,7 @@ def fitted_minimum(
     results = explain(problem, x)
     require_explained(problem, search.best, results)
     require_plausible(problem, x, results)
-    require_possible(problem, x)
+    require_possible(problem, x, results)
     fitted = problem.fitted
     fitted_names = problem.fitted_names
     require_identifiable(fitted_names, marginal_information(search.best.equations.information, fitted))

@@ -15,7 +15,7 @@ from dssc_jax.flight_logs.fit.least_squares import FitProblem, NormalEquations
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refusals import Explained
-from dssc_jax.flight_logs.fit.remaining_residuals import remaining_text
+from dssc_jax.flight_logs.fit.remaining_residuals import leaves_most, remaining_text
 from dssc_jax.flight_logs.fit.search_limits import SearchCount
 from dssc_jax.flight_logs.fit.shifts import Delay, fitted_delay, longest_shift
 from dssc_jax.flight_logs.reading.reader import signal_name
@@ -94,7 +94,8 @@ def command_delay_doubts(
     """
     study = problem.study
     delay = late_command(problem, minimum)
-    if delay is None or not delay.matters(study.loop.sample_time) or not delay.explains:
+    is_certain = delay is not None and delay.matters(study.loop.sample_time) and delay.explains
+    if delay is None or not is_certain or leaves_most(problem, delay, results):
         return ()
     name = signal_name(study.loop.channels[0], "u_total")
     remedy = (

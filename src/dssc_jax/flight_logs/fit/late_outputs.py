@@ -16,7 +16,7 @@ from dssc_jax.flight_logs.fit.least_squares import LEAST_SAMPLES, TINY, FitProbl
 from dssc_jax.flight_logs.fit.minima import Minimum, minimise
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refusals import Explained
-from dssc_jax.flight_logs.fit.remaining_residuals import remaining_text
+from dssc_jax.flight_logs.fit.remaining_residuals import leaves_most, remaining_text
 from dssc_jax.flight_logs.fit.shifts import Delay, fitted_delay, linear_cost, longest_shift
 from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
@@ -167,7 +167,8 @@ def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explai
     if problem.count.reason:
         return screened_doubts(problem, minimum)
     lateness = late_output(problem, minimum)
-    if lateness is None or not lateness.matters(study.loop.sample_time) or not lateness.explains:
+    is_certain = lateness is not None and lateness.matters(study.loop.sample_time) and lateness.explains
+    if lateness is None or not is_certain or leaves_most(problem, lateness, results):
         return command_delay_doubts(problem, minimum, results)
     names = [signal_name(study.loop.channels[channel], "y") for channel in lateness.channels]
     sizes = []

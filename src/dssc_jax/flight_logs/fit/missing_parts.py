@@ -242,6 +242,18 @@ def actuator_part(
     return Part(code, words, remedy, model, behind(model), sizes, is_positive=True, is_possible=is_possible)
 
 
+FRICTION = Part(
+    code="missing-force",
+    words="a force against the speed of constant size (friction, {size:.3g} ± {deviation:.2g} {command}{acceleration})",
+    remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
+    actuator=None,
+    commands=rubbed,
+    sizes=force_sizes,
+    is_positive=False,
+    is_possible=is_against,
+    has_speed=True,
+)
+
 STEADY_WIND = Part(
     code="missing-force",
     words="a constant force ({size:.3g} {command}, as of a steady wind)",
@@ -287,18 +299,7 @@ PARTS = (
         is_possible=is_against,
         has_speed=True,
     ),
-    Part(
-        code="missing-force",
-        words="a force against the speed of constant size (friction, {size:.3g} ± {deviation:.2g} {command}"
-        "{acceleration})",
-        remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
-        actuator=None,
-        commands=rubbed,
-        sizes=force_sizes,
-        is_positive=False,
-        is_possible=is_against,
-        has_speed=True,
-    ),
+    FRICTION,
     STEADY_WIND,
     ACTUATOR_LAG,
     FILTERED_OUTPUT,

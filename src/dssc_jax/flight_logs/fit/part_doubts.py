@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.flight_logs.fit.filtered_outputs import lies_behind_rate
-from dssc_jax.flight_logs.fit.flown_course import Flight, flown, flown_with
+from dssc_jax.flight_logs.fit.flown_course import flown
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.missing_parts import (
@@ -22,22 +22,24 @@ from dssc_jax.flight_logs.fit.missing_parts import (
     TWIN_LAGS,
     lacking_parts,
 )
-from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, fit_without_part, fitted_part
+from dssc_jax.flight_logs.fit.part_fits import PartFit, fit_without_part, fitted_part
 from dssc_jax.flight_logs.fit.part_texts import part_text
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refits import Refit
 from dssc_jax.flight_logs.fit.refusals import MOST_UNEXPLAINED, MUCH_LARGER, Explained, signal_and_unit
+from dssc_jax.flight_logs.fit.settled_forces import STICKING, settled
 from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE
 from dssc_jax.flight_logs.fit.wind_steps import fitted_wind_step, lacks_wind_step
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 NEARLY = 10.0  # difference of twice the log likelihood (Kass and Raftery's very strong evidence) between two causes
 EQUALLY = 2.0  # the same, of causes of which none is likelier (not worth more than a bare mention)
-ROUNDS = 3  # of fits with a force against the speed, each at the speed of the one before
 LARGE_PART = 0.5  # share of a refused residual that may be left if a part explains it
 SMALL_PART = 0.05  # share of a residual that is left if a part explains nearly all of it, whatever the noise
 EXPLAINED = 0.7  # share of a doubtful residual that is left if a part explains it, whatever it moves
 DELAYS = (LATE_OUTPUT, LATE_COMMAND)
+RESEMBLED = "another part may resemble this one"
+STUCK = "sticking leaves a residual of its own, so that these sizes are rough, or another part acts beside it"
 
 
 class PartDoubts(NamedTuple):
@@ -124,24 +126,6 @@ def likeliest(fits: list[PartFit]) -> PartFit:
         if best.part in TWIN_LAGS and fit.part is ACTUATOR_LAG and fit.gain > best.gain - EQUALLY:
             return fit
     return best
-
-
-def settled(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:
-    """The fit of a force against the speed at the speed that this force leaves, where that explains the flight better.
-
-    Args:
-        problem: The problem, with the noise of its minimum.
-        without: The fit without a part.
-        flight: The flight by the speed without the force.
-        fit: The fit with the force at that speed.
-    """
-    for _ in range(ROUNDS if fit.part.has_speed else 0):
-        flight = flown_with(problem, fit.x, fit.part.commands(flight, fit.size)[None, :])
-        again = fitted_part(problem, without, flight, fit.part)
-        if again is None or again.gain <= fit.gain:
-            break
-        fit = again
-    return fit
 
 
 def distinguished(fits: list[PartFit], signals: Mapping[str, np.ndarray], sample_time: float) -> list[PartFit]:
@@ -246,7 +230,7 @@ def doubt_of_refusal(problem: FitProblem, result: Explained, causes: PartCauses)
     for rival in causes.rivals:
         text += f"; {part_text(problem, rival)} leaves {rival.residual:.3g} {output}"
     if best.residual > MUCH_LARGER * result.limit:
-        text += ". That is still more than noise explains: another part may resemble this one"
+        text += f". That is still more than noise explains: {STUCK if best.part is STICKING else RESEMBLED}"
     return SignalWarning(signal, best.part.code, f"{text[0].upper()}{text[1:]}. {remedy_of(causes)}")
 
 
@@ -300,18 +284,22 @@ def doubt_of(
     explains = (
         f"{words}, which the study lacks, would explain part of the residual of {signal} (p = {best.p_value:.1g})"
     )
-    if best.residual > max(MUCH_LARGER * result.limit, SMALL_PART * result.residual):
+    value, value_without = problem.values(best.x)[place], problem.values(minimum.x)[place]
+    moved = f"with it, {name} is about {value:.4g} in place of {value_without:.4g}"
+    remains = f"But {best.residual:.3g} {output} rms remain, where noise explains {result.noise:.3g} {output}"
+    leaves_more = best.residual > max(MUCH_LARGER * result.limit, SMALL_PART * result.residual)
+    if leaves_more and best.part is STICKING and best.residual < LARGE_PART * result.residual:
         text = (
-            f"{explains}{others}. But {best.residual:.3g} {output} rms remain, where noise explains {result.noise:.3g} "
-            f"{output}: the cause is probably another part, which this one resembles. Estimates are wrong by more than "
-            "their intervals"
-        )
-    elif largest_move(problem, minimum, best, deviations) > LARGE_MOVE:
-        text = (
-            f"{explains}: with it, {name} is about {problem.values(best.x)[place]:.4g} in place of "
-            f"{problem.values(minimum.x)[place]:.4g}{others}. Estimates are wrong by more than their intervals. "
+            f"{explains}: {moved}{others}. {remains}: {STUCK}. Estimates are wrong by more than their intervals. "
             f"{remedy_of(causes)}"
         )
+    elif leaves_more:
+        text = (
+            f"{explains}{others}. {remains}: the cause is probably another part, which this one resembles. Estimates "
+            "are wrong by more than their intervals"
+        )
+    elif largest_move(problem, minimum, best, deviations) > LARGE_MOVE:
+        text = f"{explains}: {moved}{others}. Estimates are wrong by more than their intervals. {remedy_of(causes)}"
     else:
         text = (
             f"{explains}: with it, this falls from {result.residual:.3g} to {best.residual:.3g} {output} rms, and no "

@@ -6,7 +6,7 @@ import numpy as np
 
 from dssc_jax.flight_logs.fit.estimates import WITHOUT_SCALE
 from dssc_jax.flight_logs.fit.least_squares import FAR_OUTSIDE, LAW_ENDS, FitProblem
-from dssc_jax.flight_logs.fit.refusals import Explained, NotIdentifiable, Unexplained
+from dssc_jax.flight_logs.fit.refusals import MOST_UNEXPLAINED, Explained, NotIdentifiable, Unexplained
 from dssc_jax.flight_logs.hints.conversions import factor_text
 from dssc_jax.study import Law
 
@@ -36,14 +36,17 @@ def require_plausible(problem: FitProblem, x: np.ndarray, results: list[Explaine
         )
 
 
-def require_possible(problem: FitProblem, x: np.ndarray) -> None:
+def require_possible(problem: FitProblem, x: np.ndarray, results: list[Explained]) -> None:
     """Require that no number is absurdly far outside its law, as where an output is logged in another unit.
 
-    A number is so, too, if the multiple of a known unit takes it from far outside its law into it.
+    A number is so, too, if the multiple of a known unit takes it from far outside its law into it; or if it is several
+    times as large or as small as all that its law holds, and more is left unexplained than a fit accepts, although not
+    with the confidence that a refusal for the residual needs.
 
     Raises:
         Unexplained: One is; the message has the value, and the multiple of a unit that would bring it into the law.
     """
+    is_poor = any(result.is_doubtful and result.unexplained > MOST_UNEXPLAINED for result in results)
     units = [unit for channel in problem.study.units for unit in (channel.output, channel.of("u"))]
     beyond = np.where(problem.is_kept, 0.0, problem.beyond_laws(x))
     for name, law, value, distance in zip(problem.names, problem.laws, problem.values(x), beyond, strict=True):
@@ -51,7 +54,8 @@ def require_possible(problem: FitProblem, x: np.ndarray) -> None:
         factor = factor_text(law.quantile(LAW_ENDS) / value, units) if distance > 0.0 and value != 0.0 else ""
         is_absurd = distance > ABSURD and (ratio > ABSURD_RATIO or ratio < 1.0 / ABSURD_RATIO)
         is_of_another_unit = bool(factor) and has_scale(problem, name) and is_beyond_by_ratio(law, value)
-        if not is_absurd and not is_of_another_unit:
+        is_contradicted = is_poor and distance > 0.0 and value != 0.0 and is_beyond_by_ratio(law, value)
+        if not is_absurd and not is_of_another_unit and not is_contradicted:
             continue
         hint = f"; {factor} it lies within its law" if factor else ""
         raise Unexplained(

@@ -7,9 +7,24 @@ import numpy as np
 
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
-from dssc_jax.flight_logs.fit.refusals import MUCH_LARGER, Explained, signal_and_unit
+from dssc_jax.flight_logs.fit.prediction import declares_noise
+from dssc_jax.flight_logs.fit.refusals import MOST_UNEXPLAINED, MUCH_LARGER, Explained, signal_and_unit
 from dssc_jax.flight_logs.fit.shifts import Delay
 from dssc_jax.flight_logs.hints.conversions import rms
+
+MOST_LEFT = 0.4  # share of a refused residual: a delay that leaves more is not named
+
+
+def leaves_most(problem: FitProblem, delay: Delay, results: Sequence[Explained]) -> bool:
+    """Whether a delay leaves most of each residual for which a fit is refused: then it is no cause to name.
+
+    Gusts that the study declares may make most of the residual, whatever the delay.
+    """
+    is_refused = any(result.least_unexplained > MOST_UNEXPLAINED for result in results)
+    pairs = zip(delay.unshifted, delay.shifted, strict=True)
+    return (
+        is_refused and not declares_noise(problem.study) and all(after > MOST_LEFT * before for before, after in pairs)
+    )
 
 
 def remaining_text(problem: FitProblem, minimum: Minimum, delay: Delay, results: Sequence[Explained]) -> str:

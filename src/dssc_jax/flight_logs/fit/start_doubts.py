@@ -1,7 +1,7 @@
 """Doubts about where a fitted study begins: its output beside the log's, or a level vehicle in wind.
 
-The first output depends on the initial state alone, so no other number explains a difference there, but a fit spreads
-it over all of them.
+The first output depends on the initial state alone, so no other number explains a difference there, but a fit may
+spread it over all of them where the flight does not keep it.
 """
 
 import math
@@ -19,6 +19,8 @@ from dssc_jax.study.actuators import kind_in
 FIRST = 5  # readings whose median counts, so that no single one decides
 LATEST = 10.0  # samples: readings after that are no longer the first
 DEVIATIONS = 5.0  # standard deviations of the noise: a smaller difference of the starts is not told
+KEPT = 0.05  # share of a difference by which it may vary over the flight and stay the same
+KEPT_SHARE = 0.95  # of the readings for which this holds
 LEAST_SHARE = 0.02  # of the output's standard deviation: a smaller difference hardly moves an estimate
 
 
@@ -46,10 +48,25 @@ def output_start_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Ex
         text = (
             f"{name} begins at {begin:.4g} {unit}, where the study begins at {begin - difference:.4g} {unit}, and the "
             f"noise is {noise:.2g} {unit}: give the study's initial state that value or a law, or compare `start` and "
-            "the offset of the column. Other numbers take the difference, and their estimates are wrong"
+            f"the offset of the column. {effect_text(columns[:, 0], difference, noise)}"
         )
         reasons.append(SignalWarning(name, "initial-output", text))
     return tuple(reasons)
+
+
+def effect_text(residual: np.ndarray, difference: float, noise: float) -> str:
+    """What a difference of the starts does to the estimates, in words.
+
+    A plant that moves alike from any place keeps the difference to the end, and no other number explains that.
+
+    Args:
+        residual: The residual, shape (n,).
+        difference: That of the first readings.
+        noise: Standard deviation of the noise.
+    """
+    if float(np.quantile(np.abs(residual - difference), KEPT_SHARE)) <= max(DEVIATIONS * noise, KEPT * abs(difference)):
+        return "The difference stays the same over the flight, so that other numbers hardly take any of it"
+    return "Other numbers may take some of the difference, and their estimates are wrong then"
 
 
 def wind_doubts(study: Study) -> tuple[SignalWarning, ...]:

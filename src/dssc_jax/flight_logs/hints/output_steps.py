@@ -10,6 +10,7 @@ from dssc_jax.study import Study
 
 SAME_STEP = 0.2  # share of a step of the reference: closer, a step of the output is that one or its opposite
 SAME_TURN = 0.1  # share of a turn: closer, a step of an angle is one
+UNDECLARED_TURN = 0.01  # the same, of an output whose unit is none of an angle
 TURNS = {"rad": 2.0 * np.pi, "deg": 360.0}
 """A turn, by units of angles."""
 WRAPPED = "each time by a full turn: the angle is wrapped. Unwrap it, and its reference"
@@ -27,6 +28,29 @@ def is_reference(output: np.ndarray, reference: np.ndarray) -> bool:
     return is_moving and is_same_reference(output, reference)
 
 
+def turn_of(sizes: np.ndarray, unit: str) -> float | None:
+    """The turn by which an output jumps each time; None if it is no angle.
+
+    An output in another unit is one if it jumps twice or more, each time by a turn in rad or in deg to 1 %: few studies
+    declare the unit of an angle.
+
+    Args:
+        sizes: The jumps, in the output's unit.
+        unit: Its unit in the study.
+    """
+    sizes = np.asarray(sizes)
+    if not sizes.size:
+        return None
+    if unit in TURNS:
+        return TURNS[unit] if (np.abs(np.abs(sizes) - TURNS[unit]) < SAME_TURN * TURNS[unit]).all() else None
+    if len(sizes) < 2:
+        return None
+    for turn in TURNS.values():
+        if (np.abs(np.abs(sizes) - turn) < UNDECLARED_TURN * turn).all():
+            return turn
+    return None
+
+
 def step_cause(study: Study, index: int, times: Sequence[float], sizes: Sequence[float]) -> str:
     """What steps of an output are that its rate, or the prediction, does not have, in words.
 
@@ -36,8 +60,7 @@ def step_cause(study: Study, index: int, times: Sequence[float], sizes: Sequence
         times: Times of the first readings after the steps, from the study's beginning on [s].
         sizes: The steps, in the output's unit.
     """
-    turn = TURNS.get(study.units[index].output, 0.0)
-    if (np.abs(np.abs(sizes) - turn) < SAME_TURN * turn).all():
+    if turn_of(np.asarray(sizes), study.units[index].output) is not None:
         return WRAPPED
     sample_time = study.loop.sample_time
     ends = np.concatenate([np.asarray(times) - 1.5 * sample_time, np.asarray(times) + 0.5 * sample_time])

@@ -1,0 +1,60 @@
+"""Forces against the speed that a study lacks, fitted at the speed that they leave; friction may hold at rest, too.
+
+A fit computes friction from the speed of the flight, whose noise decides the side on which it acts at rest. There it is
+the opposite of the command, up to its size, if the vehicle sticks.
+"""
+
+import numpy as np
+
+from dssc_jax.flight_logs.fit.flown_course import Flight, flown_with
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.fit.missing_parts import FRICTION, REST
+from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, fitted_part
+
+ROUNDS = 3  # of fits with a force against the speed, each at the speed of the one before
+CLEARLY = 10.0  # difference of twice the log likelihood by which sticking has to explain more than friction without it
+
+
+def stuck(flight: Flight, size: float) -> np.ndarray:
+    """Commands with friction of a size, which holds the vehicle at rest against smaller commands."""
+    rest = REST * float(np.abs(flight.speed).max()) + TINY
+    at_rest = np.exp(-((flight.speed / rest) ** 2))
+    held = np.clip(flight.commands, -size, size)
+    return flight.commands - at_rest * held - (1.0 - at_rest) * size * np.sign(flight.speed)
+
+
+STICKING = FRICTION._replace(
+    words="a force against the speed of constant size, which also holds at rest (friction, perhaps with sticking, "
+    "{size:.3g} ± {deviation:.2g} {command}{acceleration})",
+    commands=stuck,
+)
+
+
+def settled(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:
+    """The fit of a force against the speed at the speed that this force leaves, where that explains the flight better.
+
+    Args:
+        problem: The problem, with the noise of its minimum.
+        without: The fit without a part.
+        flight: The flight by the speed without the force.
+        fit: The fit with the force at that speed.
+    """
+    best = settled_fit(problem, without, flight, fit)
+    if fit.part is not FRICTION:
+        return best
+    sticking = fitted_part(problem, without, flight, STICKING)
+    if sticking is None:
+        return best
+    sticking = settled_fit(problem, without, flight, sticking)
+    return sticking if sticking.gain > best.gain + CLEARLY else best
+
+
+def settled_fit(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:
+    """The fit of one force at the speed that it leaves; arguments as of :func:`settled`."""
+    for _ in range(ROUNDS if fit.part.has_speed else 0):
+        flight = flown_with(problem, fit.x, fit.part.commands(flight, fit.size)[None, :])
+        again = fitted_part(problem, without, flight, fit.part)
+        if again is None or again.gain <= fit.gain:
+            break
+        fit = again
+    return fit
