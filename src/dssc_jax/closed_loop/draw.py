@@ -56,7 +56,7 @@ class Progress(NamedTuple):
         steps: Samples that the draw has completed.
         in_band: Number of consecutive samples, up to the last one, with errors small enough to settle; () for a loop
             without a rule for settled draws.
-        violations: Samples at which requirements of final violation were first violated, see
+        violations: Samples at which requirements whose violation is final were first violated, see
             :func:`~dssc_jax.closed_loop.metrics.requirements.watch`.
     """
 

@@ -63,3 +63,8 @@ def never(params: Params) -> bool:
 def unchanging(params: Params) -> float:
     """The last change of a signal that does the same at all times, but for the times declared as ``begins`` [s]."""
     return 0.0
+
+
+def rise_end(params: Params) -> Scalar:
+    """The last change of what begins at the time ``at`` and rises for ``rise`` [s]; 0 if it has no end of a rise."""
+    return 0.0 if params.rise is None else params.at + params.rise

@@ -133,11 +133,6 @@ class Wrapped(NamedTuple):
 AnyEvent = VehicleEvent | SensorEvent | CommandEvent
 
 
-def rise_end(params: Params) -> float:
-    """Return the time at which an event has fully set in [s]; 0 if it does so at once."""
-    return 0.0 if params.rise is None else params.at + params.rise
-
-
 def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
     """Share of an event that has happened, in [0, 1], averaged over the sample [t, t + dt).
 

@@ -22,7 +22,6 @@ from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.actuators import require_one_form
 from dssc_jax.study.available_metrics import AvailableMetrics, available_metrics, metric_kinds
 from dssc_jax.study.components import as_table
-from dssc_jax.study.events import EVENT, parse_events
 from dssc_jax.study.laws import nominal_params
 from dssc_jax.study.measuring import parse_measures
 from dssc_jax.study.numbers import Number, merge_numbers, parameter_numbers
@@ -134,8 +133,7 @@ def parse_content(table: TomlTable) -> StudyContent:
     check_swept_parts(table, config, loop, parts.measurable, numbers)
     require_whole_windows(loop, measures, config.envelope)
     require_changes_before_settling(config, numbers)
-    events = parse_events(parameters.resolved(config.event, EVENT), loop.channels)
-    require_seen_signals(config, loop, template, numbers, events)
+    require_seen_signals(config, loop, template, numbers, parts.events)
     return StudyContent(
         config=config,
         loop=loop,

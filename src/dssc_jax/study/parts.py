@@ -16,7 +16,14 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.actuators import section_of
 from dssc_jax.study.components import Component, as_table
-from dssc_jax.study.events import CHANNEL_EVENTS, EVENT, events_of, vehicle_events, with_channel_events
+from dssc_jax.study.events import (
+    CHANNEL_EVENTS,
+    EVENT,
+    StudyEvent,
+    events_of,
+    vehicle_events,
+    with_channel_events,
+)
 from dssc_jax.study.fitting import fitted_controllers
 from dssc_jax.study.laws import nominal_params
 from dssc_jax.study.measures import measurable_signals, parse_signal_sensors, require_signals, sensor_tables
@@ -55,6 +62,7 @@ class LoopParts(NamedTuple):
         outputs: Named outputs of the plant.
         measurable: Signals that sensors can measure, by name.
         measures: Signals that the study measures besides y and y'.
+        events: Events of the study, which are parts of the vehicle, of sensors or of commands, too.
     """
 
     shared_parts: dict[str, Component]
@@ -65,6 +73,7 @@ class LoopParts(NamedTuple):
     outputs: tuple[NamedSignal, ...]
     measurable: dict[str, NamedSignal]
     measures: tuple[NamedSignal, ...]
+    events: list[StudyEvent]
 
     def loop(self, config: StudyTable) -> Loop:
         """Make the loop before tracing: the models of all parts in their slots, and the clock of the study."""
@@ -154,6 +163,7 @@ def parse_parts(config: StudyTable, parameters: ParameterTable) -> LoopParts:
         outputs=outputs,
         measurable=measurable,
         measures=measures,
+        events=events,
     )
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TypeAlias
 
 from jax.tree_util import keystr, tree_flatten_with_path
 
@@ -17,6 +18,9 @@ from dssc_jax.core.wind import Wind
 from dssc_jax.study.events import StudyEvent
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.schema import EnvelopeTable, StudyTable
+
+ChangingPart: TypeAlias = Reference | Wind | Disturbance | AnyEvent
+"""A part that does something over time, and declares when it last does something new."""
 
 
 def require_whole_windows(loop: Loop, measures: tuple[Measure, ...], envelopes: Sequence[EnvelopeTable]) -> None:
@@ -115,9 +119,7 @@ def with_largest_values(config: StudyTable, template: Params, numbers: Iterable[
     return structure.unflatten(values)
 
 
-def require_seen(
-    table: str, model: Reference | Wind | Disturbance | AnyEvent, params: Params, config: StudyTable
-) -> None:
+def require_seen(table: str, model: ChangingPart, params: Params, config: StudyTable) -> None:
     """Require that a signal does nothing new after a draw may have ended as settled.
 
     Args:

@@ -18,7 +18,6 @@ from dssc_jax.flight_logs.fit.estimates import Fitted
 from dssc_jax.flight_logs.fit.fit import fit_log
 from dssc_jax.flight_logs.fit.refusals import FitRefused, NotIdentifiable
 from dssc_jax.flight_logs.fit.search_limits import MOST_SIMULATIONS, SearchLimits
-from dssc_jax.flight_logs.hints.output_steps import WRAPPED
 from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight, short_log
 from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.flight_logs.replay import LogReplay, replay_log
@@ -134,7 +133,8 @@ def print_refusal(refusal: FitRefused, study: Study, replay: LogReplay, options:
     """
     replay_summary = replay.summary(study)
     is_undetermined = isinstance(refusal, NotIdentifiable)
-    others = [warning for warning in replay.warnings if not (warning.code == "output-jump" and WRAPPED in str(refusal))]
+    told = {(cause.signal, cause.code) for cause in refusal.causes}
+    others = [warning for warning in replay.warnings if (warning.signal, warning.code) not in told]
     reason = str(refusal) if is_undetermined else f"{refusal}{fault_text(others)}"
     if options.as_json:
         verdict = {"identifiable": False} if is_undetermined else {"explained": False}

@@ -156,7 +156,7 @@ def watch(
     steps: int,
     sample_time: float,
 ) -> tuple[Scalar, ...]:
-    """Note, after a sample, which requirements of final violation are violated for the first time.
+    """Note, after a sample, which requirements whose violation is final are violated for the first time.
 
     Args:
         requirements: The requirements.

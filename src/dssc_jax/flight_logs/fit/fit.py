@@ -17,7 +17,6 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.flight_logs.fit.command_dropouts import dropout_doubts
 from dssc_jax.flight_logs.fit.command_gaps import (
     better_commands,
     command_doubts,
@@ -27,19 +26,14 @@ from dssc_jax.flight_logs.fit.command_gaps import (
     held_doubts,
     with_commands,
 )
-from dssc_jax.flight_logs.fit.command_offsets import MendedCommand, mended_command
 from dssc_jax.flight_logs.fit.declared_noise import declared_covariance, larger_covariance
 from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinimum, correlation_doubts
 from dssc_jax.flight_logs.fit.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.fit.fitted_numbers import insensitive_numbers, numbers_to_fit, require_stated_times
 from dssc_jax.flight_logs.fit.freed_commands import freed_commands
-from dssc_jax.flight_logs.fit.joint_causes import joint_doubts
-from dssc_jax.flight_logs.fit.late_outputs import delay_doubts
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
 from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch, find_minima
-from dssc_jax.flight_logs.fit.outliers import outlier_doubts
-from dssc_jax.flight_logs.fit.part_doubts import NO_DOUBTS, PartDoubts, part_doubts, part_doubts_of_refusal
 from dssc_jax.flight_logs.fit.possible_values import require_plausible, require_possible
 from dssc_jax.flight_logs.fit.prediction import Prediction, prediction
 from dssc_jax.flight_logs.fit.refusals import (
@@ -49,17 +43,16 @@ from dssc_jax.flight_logs.fit.refusals import (
     conversion_hint,
     doubts,
     explain,
-    noise_doubts,
     refusal_text,
     require_identifiable,
     require_unique_minimum,
     strength_hint,
     unexplained_place,
 )
+from dssc_jax.flight_logs.fit.residual_causes import doubts_of_estimates, refusal_causes
 from dssc_jax.flight_logs.fit.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.fit.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
-from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts, wind_doubts
-from dssc_jax.flight_logs.fit.start_speeds import start_speed_doubts
+from dssc_jax.flight_logs.fit.start_doubts import wind_doubts
 from dssc_jax.flight_logs.fit.unidentified import UnidentifiedNumbers
 from dssc_jax.flight_logs.fit.width_reasons import open_numbers, widest_growth, width_reasons
 from dssc_jax.flight_logs.fit.wrapped_outputs import column_causes
@@ -68,7 +61,6 @@ from dssc_jax.flight_logs.hints.starts import fixed_integrals
 from dssc_jax.flight_logs.reading.gaps import gap_text
 from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.flight_logs.replay import LogReplay, replay_log, require_same_signals
-from dssc_jax.flight_logs.signal_warnings import SignalWarning, hedged
 from dssc_jax.study import Study
 
 
@@ -228,50 +220,7 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
         causes, is_explained = refusal_causes(problem, best, results)
     hint = "" if is_explained else conversion_hint(problem, best.x, place)
     reasons = "".join(f". {doubt.text}" for doubt in causes) or strength_hint(problem.study)
-    raise Unexplained(f"{refusal_text(problem, best.x, place, results[place])}{hint}{reasons}")
-
-
-def refusal_causes(
-    problem: FitProblem, best: Minimum, results: list[Explained]
-) -> tuple[tuple[SignalWarning, ...], bool]:
-    """Likely causes of a residual that is more than noise, beside other columns; whether one of them leaves only noise.
-
-    Args:
-        problem: The least-squares problem of the log.
-        best: Its minimum.
-        results: How well each channel is described.
-    """
-    mended = mended_command(problem, best, results)
-    if mended is not None:
-        return causes_beside_offset(mended), mended.leaves_noise
-    doubts_of_outliers = outlier_doubts(problem, best.x)
-    doubts_of_dropouts = dropout_doubts(problem, best)
-    doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, best, results)
-    parts = (
-        NO_DOUBTS if doubts_of_dropouts else part_doubts_of_refusal(problem, best, results[0], bool(doubts_of_delays))
-    )
-    if parts.exceeds_delays:
-        doubts_of_delays = ()
-    doubts_of_start = start_speed_doubts(problem, best, parts.residual)
-    if doubts_of_start:
-        parts = NO_DOUBTS
-    elif not doubts_of_dropouts:
-        joint = joint_doubts(problem, best, results[0], parts.residual)
-        if joint:
-            doubts_of_delays, parts = (), PartDoubts(joint)
-    causes = (
-        *(doubts_of_start or output_start_doubts(problem, best.x, results)),
-        *doubts_of_outliers,
-        *doubts_of_delays,
-        *parts.warnings,
-    )
-    return hedged(causes), parts.residual <= results[0].limit
-
-
-def causes_beside_offset(mended: MendedCommand) -> tuple[SignalWarning, ...]:
-    """A constant in the command, and the likely causes of what the log without it leaves, if that is not noise."""
-    others = () if mended.leaves_noise else refusal_causes(mended.problem, mended.minimum, mended.results)[0]
-    return (mended.warning, *(warning for warning in others if warning.code != "command-offset"))
+    raise Unexplained(f"{refusal_text(problem, best.x, place, results[place])}{hint}{reasons}", causes)
 
 
 def fitted_minimum(
@@ -298,10 +247,6 @@ def fitted_minimum(
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
-    mended = mended_command(problem, search.best, results)
-    doubts_of_dropouts = () if mended is not None else dropout_doubts(problem, search.best)
-    has_cause = bool(doubts_of_dropouts) or mended is not None
-    doubts_of_delays = doubts_of_dropouts if has_cause else delay_doubts(problem, search.best, results)
     covariance = averaged_covariance(problem, posteriors, x)
     covariance = widening(rough) * larger_covariance(covariance, declared_covariance(problem, search.best))
     covariance = covariance[np.ix_(fitted, fitted)]
@@ -315,33 +260,10 @@ def fitted_minimum(
     except NotIdentifiable as refusal:
         raise refusal.with_reasons(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
-    parts = NO_DOUBTS
-    if not has_cause:
-        deviations = np.sqrt(np.diag(covariance))
-        parts = part_doubts(problem, search.best, deviations, results[0], bool(doubts_of_delays))
-    if parts.exceeds_delays:
-        doubts_of_delays = ()
-    doubts_of_outliers = () if mended is not None else outlier_doubts(problem, x)
-    doubts_of_start = () if mended is not None else output_start_doubts(problem, x, results)
-    is_doubtful = any(result.is_doubtful for result in results)
-    is_noise = parts.residual <= results[0].limit  # with a part, which leaves nothing to another start
-    if (
-        is_doubtful and mended is None and not is_noise and not doubts_of_delays and not doubts_of_outliers
-    ):  # which a start explains
-        doubts_of_speed = start_speed_doubts(problem, search.best, parts.residual)
-        if doubts_of_speed:
-            doubts_of_start, parts = doubts_of_speed, NO_DOUBTS
-    with_outliers = {doubt.signal for doubt in doubts_of_outliers}
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     noise_by_channel = dict(zip(channels, noises, strict=True))
     doubts_of_residuals = (
-        *(causes_beside_offset(mended) if mended is not None else ()),
-        *doubts(problem, x, results),
-        *doubts_of_start,
-        *doubts_of_outliers,
-        *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
-        *doubts_of_delays,
-        *parts.warnings,
+        *doubts_of_estimates(problem, search.best, results, np.sqrt(np.diag(covariance))),
         *held_doubts(problem.log),
         *freed_doubts(problem.log),
         *doubts_of_commands,

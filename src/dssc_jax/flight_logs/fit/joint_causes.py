@@ -6,18 +6,17 @@ A constant disturbance joins the numbers of the fit, and each delay and each lag
 from typing import NamedTuple
 
 from dssc_jax.flight_logs.fit.flown_course import flown
-from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum, reweighted_minimum
 from dssc_jax.flight_logs.fit.missing_parts import (
     ABSENT,
-    LATE_COMMAND,
-    LATE_OUTPUT,
+    DELAYS,
     STEADY_WIND,
     TWIN_LAGS,
     Part,
     lacking_parts,
 )
-from dssc_jax.flight_logs.fit.part_fits import PartFit, fit_without_part, fitted_part
+from dssc_jax.flight_logs.fit.part_fits import STRONG_EVIDENCE, PartFit, fit_without_part, fitted_part
 from dssc_jax.flight_logs.fit.part_texts import part_text
 from dssc_jax.flight_logs.fit.prediction import prediction
 from dssc_jax.flight_logs.fit.refits import Refit, refit
@@ -30,8 +29,6 @@ from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 FORCE = "disturbance.value"
 FAR_LESS = 0.4  # share of what each of two causes leaves alone: with both, less is left
-NEARLY = 10.0  # difference of twice the log likelihood between two causes that explain a flight nearly as well
-DELAYS = (LATE_OUTPUT, LATE_COMMAND)
 
 
 class JointCause(NamedTuple):
@@ -64,8 +61,8 @@ def joint_doubts(problem: FitProblem, minimum: Minimum, result: Explained, told:
         return ()
     best = cause.best
     alone = residual_alone(problem, minimum, best.part)
-    unexplained = (best.residual**2 - result.noise**2) / max(result.output**2, TINY)
-    if not best.residual < FAR_LESS * min(told, alone, result.residual) or unexplained > MOST_UNEXPLAINED:
+    is_far_less = best.residual < FAR_LESS * min(told, alone, result.residual)
+    if not is_far_less or result.unexplained_by(best.residual) > MOST_UNEXPLAINED:
         return ()
     signal, output = signal_and_unit(problem, 0)
     size = cause.problem.named_values(best.x)[FORCE]
@@ -107,7 +104,7 @@ def joint_cause(problem: FitProblem, minimum: Minimum) -> JointCause | None:
     best, *others = certain
     if not best.residual < FAR_LESS * end.residual(0):
         return None
-    return JointCause(end.problem, best, [fit for fit in others if fit.gain > best.gain - NEARLY])
+    return JointCause(end.problem, best, [fit for fit in others if fit.gain > best.gain - STRONG_EVIDENCE])
 
 
 def with_force(problem: FitProblem) -> FitProblem:

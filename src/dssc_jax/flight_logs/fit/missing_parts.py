@@ -364,6 +364,7 @@ LATE_OUTPUT = Part(
 LATE_COMMAND = LATE_OUTPUT._replace(
     code="delayed-command", words="a command that acts {size:.3g} s late", commands=late, outputs=None
 )
+DELAYS = (LATE_OUTPUT, LATE_COMMAND)
 
 
 def lacking_parts(study: Study) -> list[Part]:

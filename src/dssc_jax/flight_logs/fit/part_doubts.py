@@ -11,18 +11,17 @@ import numpy as np
 
 from dssc_jax.flight_logs.fit.filtered_outputs import lies_behind_rate
 from dssc_jax.flight_logs.fit.flown_course import flown
-from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.missing_parts import (
     ACTUATOR_LAG,
+    DELAYS,
     FILTERED_ALONE,
     FILTERED_OUTPUT,
-    LATE_COMMAND,
-    LATE_OUTPUT,
     TWIN_LAGS,
     lacking_parts,
 )
-from dssc_jax.flight_logs.fit.part_fits import PartFit, fit_without_part, fitted_part
+from dssc_jax.flight_logs.fit.part_fits import STRONG_EVIDENCE, PartFit, fit_without_part, fitted_part
 from dssc_jax.flight_logs.fit.part_texts import part_text
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refits import Refit
@@ -32,12 +31,10 @@ from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE
 from dssc_jax.flight_logs.fit.wind_steps import fitted_wind_step, lacks_wind_step
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
-NEARLY = 10.0  # difference of twice the log likelihood (Kass and Raftery's very strong evidence) between two causes
-EQUALLY = 2.0  # the same, of causes of which none is likelier (not worth more than a bare mention)
+EQUALLY = 2.0  # difference of twice the log likelihood of causes of which none is likelier (barely worth a mention)
 LARGE_PART = 0.5  # share of a refused residual that may be left if a part explains it
 SMALL_PART = 0.05  # share of a residual that is left if a part explains nearly all of it, whatever the noise
 EXPLAINED = 0.7  # share of a doubtful residual that is left if a part explains it, whatever it moves
-DELAYS = (LATE_OUTPUT, LATE_COMMAND)
 RESEMBLED = "another part may resemble this one"
 STUCK = "sticking leaves a residual of its own, so that these sizes are rough, or another part acts beside it"
 
@@ -111,12 +108,12 @@ def part_causes(
     certain = distinguished(certain, problem.log.signals[0], flight.sample_time)
     best = settled(problem, without, flight, likeliest(certain))
     delay_gain = max((fit.gain for fit in delays), default=-math.inf)
-    if has_delay and best.gain < delay_gain - NEARLY:
+    if has_delay and best.gain < delay_gain - STRONG_EVIDENCE:
         return None
     others = [fit for fit in (*certain, *delays) if fit.part is not best.part]
-    rivals = [fit for fit in others if fit.gain > best.gain - NEARLY]
+    rivals = [fit for fit in others if fit.gain > best.gain - STRONG_EVIDENCE]
     rivals.sort(key=lambda fit: -fit.gain)
-    return PartCauses(best, rivals, best.gain > delay_gain + NEARLY)
+    return PartCauses(best, rivals, best.gain > delay_gain + STRONG_EVIDENCE)
 
 
 def likeliest(fits: list[PartFit]) -> PartFit:
@@ -201,8 +198,8 @@ def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, result: Explai
         """Whether the part explains far more, so that the fit would be accepted."""
         if not is_plausible(fit, result):
             return False
-        unexplained = (fit.residual**2 - result.noise**2) / max(result.output**2, TINY)
-        return has_gusts or (fit.residual < LARGE_PART * residual and unexplained < MOST_UNEXPLAINED)
+        is_small = fit.residual < LARGE_PART * residual and result.unexplained_by(fit.residual) < MOST_UNEXPLAINED
+        return has_gusts or is_small
 
     starts = (minimum.x, np.zeros_like(minimum.x))
     causes = part_causes(problem, minimum, starts, has_delay, matters)

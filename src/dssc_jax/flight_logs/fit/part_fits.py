@@ -27,6 +27,7 @@ from dssc_jax.statistics.correlated_noise import Noise, weighted_products
 STEPS = 6  # of Gauss and Newton
 HALVINGS = 4  # of a step that does not lower the sum of squares
 DIFFERENCE = 1e-3  # relative step of the derivative by a size
+STRONG_EVIDENCE = 10.0  # difference of twice the log likelihood, "very strong" on the scale of Kass and Raftery (1995)
 LEAST_SCREENED = 4.0  # gain of twice the log likelihood under the noise without a part, below which it is not there
 
 

@@ -40,6 +40,9 @@ TIE = 0.95  # level of chi squared below which two minima describe a log equally
 class FitRefused(ValueError):
     """A flight does not support a fit; the message says why."""
 
+    causes: tuple[SignalWarning, ...] = ()
+    """Likely causes, which the message tells."""
+
 
 class NotIdentifiable(FitRefused):
     """The flight does not identify the numbers, or a combination of them; the message says which.
@@ -63,7 +66,16 @@ class NotIdentifiable(FitRefused):
 
 
 class Unexplained(FitRefused):
-    """The residual is more than noise; the message has the numbers."""
+    """The residual is more than noise; the message has the numbers.
+
+    Args:
+        message: The reason.
+        causes: Likely causes, which the message tells.
+    """
+
+    def __init__(self, message: str, causes: tuple[SignalWarning, ...] = ()) -> None:
+        super().__init__(message)
+        self.causes = causes
 
 
 class Explained(NamedTuple):
@@ -79,13 +91,17 @@ class Explained(NamedTuple):
     @property
     def unexplained(self) -> float:
         """Share of the output's variance that neither the simulated output nor noise explains."""
-        return max(self.residual**2 - self.noise**2, 0.0) / max(self.output**2, TINY)
+        return self.unexplained_by(self.residual)
+
+    def unexplained_by(self, residual: float) -> float:
+        """The same share for a residual of another size, such as that of a fit with a part that the study lacks."""
+        return max(residual**2 - self.noise**2, 0.0) / max(self.output**2, TINY)
 
     @property
     def least_unexplained(self) -> float:
         """Lower confidence limit of ``unexplained``, by the law of chi squared of the residual's mean square."""
         largest = float(stats.chi2.ppf(EXPLAINED_CONFIDENCE, self.independent)) / self.independent
-        return max(self.residual**2 / largest - self.noise**2, 0.0) / max(self.output**2, TINY)
+        return self.unexplained_by(self.residual / math.sqrt(largest))
 
     @property
     def is_doubtful(self) -> bool:

@@ -9,10 +9,9 @@ import numpy as np
 from dssc_jax.flight_logs.fit.flown_course import Flight, flown_with
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.missing_parts import FRICTION, REST
-from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, fitted_part
+from dssc_jax.flight_logs.fit.part_fits import STRONG_EVIDENCE, FitWithoutPart, PartFit, fitted_part
 
 ROUNDS = 3  # of fits with a force against the speed, each at the speed of the one before
-CLEARLY = 10.0  # difference of twice the log likelihood by which sticking has to explain more than friction without it
 
 
 def stuck(flight: Flight, size: float) -> np.ndarray:
@@ -46,7 +45,7 @@ def settled(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: P
     if sticking is None:
         return best
     sticking = settled_fit(problem, without, flight, sticking)
-    return sticking if sticking.gain > best.gain + CLEARLY else best
+    return sticking if sticking.gain > best.gain + STRONG_EVIDENCE else best
 
 
 def settled_fit(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:

@@ -2,7 +2,8 @@
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.events import AT, UNTIL, Condition, VehicleEvent, rise_end
+from dssc_jax.core.default_functions import rise_end
+from dssc_jax.core.events import AT, UNTIL, Condition, VehicleEvent
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 

@@ -2,8 +2,9 @@
 
 from typing import Annotated, NamedTuple
 
+from dssc_jax.core.default_functions import rise_end
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.events import AT, UNTIL, Condition, Shear, VehicleEvent, rise_end
+from dssc_jax.core.events import AT, UNTIL, Condition, Shear, VehicleEvent
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3

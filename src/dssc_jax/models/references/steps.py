@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Reference
-from dssc_jax.core.default_functions import unchanging
+from dssc_jax.core.default_functions import rise_end, unchanging
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import ReferencePoint, Scalar
@@ -101,11 +101,6 @@ def pulse_level(params: PulseParams) -> Scalar:
     return params.offset
 
 
-def ramp_end(params: RampParams) -> Scalar:
-    """Return the time at which the ramp ends [s]; 0 if it never does."""
-    return 0.0 if params.rise is None else params.at + params.rise
-
-
 STEP_REFERENCE = Reference(StepReferenceParams, step_at, level=step_level, last_change=unchanging)
-RAMP_REFERENCE = Reference(RampParams, ramp_at, level=ramp_level, last_change=ramp_end)
+RAMP_REFERENCE = Reference(RampParams, ramp_at, level=ramp_level, last_change=rise_end)
 PULSES = Reference(PulseParams, pulse_at, prepare_pulse, level=pulse_level, last_change=lambda params: math.inf)

@@ -1,0 +1,107 @@
+"""The likely causes of a residual, in the order of the warnings: where a fit is refused, and beside its estimates.
+
+A cause that explains the residual leaves nothing to the next one: a constant in the command, lost commands, a delay, a
+part that the study lacks, another start.
+"""
+
+import numpy as np
+
+from dssc_jax.flight_logs.fit.command_dropouts import dropout_doubts
+from dssc_jax.flight_logs.fit.command_offsets import MendedCommand, mended_command
+from dssc_jax.flight_logs.fit.joint_causes import joint_doubts
+from dssc_jax.flight_logs.fit.late_outputs import delay_doubts
+from dssc_jax.flight_logs.fit.least_squares import FitProblem
+from dssc_jax.flight_logs.fit.minima import Minimum
+from dssc_jax.flight_logs.fit.outliers import outlier_doubts
+from dssc_jax.flight_logs.fit.part_doubts import NO_DOUBTS, PartDoubts, part_doubts, part_doubts_of_refusal
+from dssc_jax.flight_logs.fit.refusals import Explained, doubts, noise_doubts
+from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts
+from dssc_jax.flight_logs.fit.start_speeds import start_speed_doubts
+from dssc_jax.flight_logs.signal_warnings import SignalWarning, hedged
+
+
+def refusal_causes(
+    problem: FitProblem, best: Minimum, results: list[Explained]
+) -> tuple[tuple[SignalWarning, ...], bool]:
+    """Likely causes of a residual that is more than noise, beside other columns; whether one of them leaves only noise.
+
+    Args:
+        problem: The least-squares problem of the log.
+        best: Its minimum.
+        results: How well each channel is described.
+    """
+    mended = mended_command(problem, best, results)
+    if mended is not None:
+        return causes_beside_offset(mended), mended.leaves_noise
+    doubts_of_outliers = outlier_doubts(problem, best.x)
+    doubts_of_dropouts = dropout_doubts(problem, best)
+    doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, best, results)
+    parts = NO_DOUBTS
+    if not doubts_of_dropouts:
+        parts = part_doubts_of_refusal(problem, best, results[0], bool(doubts_of_delays))
+    if parts.exceeds_delays:
+        doubts_of_delays = ()
+    doubts_of_start = start_speed_doubts(problem, best, parts.residual)
+    if doubts_of_start:
+        parts = NO_DOUBTS
+    elif not doubts_of_dropouts:
+        joint = joint_doubts(problem, best, results[0], parts.residual)
+        if joint:
+            doubts_of_delays = ()
+            parts = PartDoubts(joint)
+    causes = (
+        *(doubts_of_start or output_start_doubts(problem, best.x, results)),
+        *doubts_of_outliers,
+        *doubts_of_delays,
+        *parts.warnings,
+    )
+    return hedged(causes), parts.residual <= results[0].limit
+
+
+def causes_beside_offset(mended: MendedCommand) -> tuple[SignalWarning, ...]:
+    """A constant in the command, and the likely causes of what the log without it leaves, if that is not noise."""
+    others = () if mended.leaves_noise else refusal_causes(mended.problem, mended.minimum, mended.results)[0]
+    return (mended.warning, *(warning for warning in others if warning.code != "command-offset"))
+
+
+def doubts_of_estimates(
+    problem: FitProblem, best: Minimum, results: list[Explained], deviations: np.ndarray
+) -> tuple[SignalWarning, ...]:
+    """The doubts about a residual beside which a fit has estimates, and their likely causes.
+
+    Args:
+        problem: The least-squares problem of the log.
+        best: Its minimum.
+        results: How well each channel is described.
+        deviations: Standard deviations of the fitted coordinates, shape (f,).
+    """
+    doubts_of_residuals = doubts(problem, best.x, results)
+    doubts_of_noise = noise_doubts(problem, best.x, results)
+    mended = mended_command(problem, best, results)
+    if mended is not None:
+        return (*causes_beside_offset(mended), *doubts_of_residuals, *doubts_of_noise)
+    parts = NO_DOUBTS
+    doubts_of_delays = dropout_doubts(problem, best)
+    if not doubts_of_delays:
+        doubts_of_delays = delay_doubts(problem, best, results)
+        parts = part_doubts(problem, best, deviations, results[0], bool(doubts_of_delays))
+    if parts.exceeds_delays:
+        doubts_of_delays = ()
+    doubts_of_outliers = outlier_doubts(problem, best.x)
+    doubts_of_start = output_start_doubts(problem, best.x, results)
+    is_doubtful = any(result.is_doubtful for result in results)
+    is_explained = parts.residual <= results[0].limit or bool(doubts_of_delays) or bool(doubts_of_outliers)
+    if is_doubtful and not is_explained:
+        doubts_of_speed = start_speed_doubts(problem, best, parts.residual)
+        if doubts_of_speed:
+            doubts_of_start = doubts_of_speed
+            parts = NO_DOUBTS
+    with_outliers = {doubt.signal for doubt in doubts_of_outliers}
+    return (
+        *doubts_of_residuals,
+        *doubts_of_start,
+        *doubts_of_outliers,
+        *(doubt for doubt in doubts_of_noise if doubt.signal not in with_outliers),
+        *doubts_of_delays,
+        *parts.warnings,
+    )
