@@ -232,7 +232,7 @@ def test_a_delay_is_no_lag(predictions):
 
 
 def test_causes_that_are_nearly_as_likely_are_named_together(predictions, monkeypatch):
-    monkeypatch.setattr(part_doubts, "NEARLY", 1e9)
+    monkeypatch.setattr(part_doubts, "STRONG_EVIDENCE", 1e9)
     u = commands_of(2)
     fitted = fit_log(linear(), log_of(flown(no_force, 2, behind_lag(u)), u), predictions=predictions)
     (doubt,) = told(fitted)
