@@ -140,8 +140,7 @@ def prediction(
 
     def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         with arithmetic(study.config.loop.precision):
-            real = jnp.result_type(float)
-            predicted, slopes = compiled(jnp.asarray(values, real), jnp.asarray(commands, real))
+            predicted, slopes = compiled(np.asarray(values, float), np.asarray(commands, float))
             return np.asarray(predicted, float), np.asarray(slopes, float)
 
     return predict
