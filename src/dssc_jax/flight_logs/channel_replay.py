@@ -97,8 +97,8 @@ class ChannelReplay:
         """
         if "y" not in logged:
             return "the log has no measured output y"
-        share = float(np.mean(np.isfinite(logged["y"])))
-        if share < REPLAY_SHARE:
+        if not has_enough_outputs(logged):
+            share = float(np.mean(np.isfinite(logged["y"])))
             sample_time = self.study.loop.sample_time
             return (
                 f"the log has y at {100 * share:.3g} % of the controller's samples; a replay needs "
@@ -121,6 +121,11 @@ class ChannelReplay:
         if missing:
             return f"the controller needs {' or '.join(missing)}, which the log lacks"
         return "the controller's command is not finite for these measurements"
+
+
+def has_enough_outputs(logged: Mapping[str, np.ndarray]) -> bool:
+    """Whether a channel's sampled log has its output, NaN where missing, at as many samples as a replay needs."""
+    return "y" in logged and float(np.mean(np.isfinite(logged["y"]))) >= REPLAY_SHARE
 
 
 def analysed_command(study: Study, index: int, readings: np.ndarray, references: np.ndarray) -> np.ndarray:

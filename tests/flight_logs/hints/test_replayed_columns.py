@@ -147,6 +147,37 @@ def test_an_origin_elsewhere_is_no_other_unit(study):
     assert "feet" not in text
 
 
+def flown_by_error(study):
+    """A study in which u = y_ref - y along a sine, and columns in which y lags behind the reference."""
+    by_error = study.override(
+        {
+            "reference": {"kind": "sine", "amplitude": 10.0, "period": 20.0},
+            "controller": {"kind": "pid", "k_p": 1.0},
+        }
+    )
+    y_ref = study_references(by_error, SAMPLES)[0, 0]
+    error = 0.5 * np.sin(2.0 * TIME)
+    return by_error, {"y": y_ref - error, "y_ref": y_ref, "u_total": error}
+
+
+def test_an_output_at_fewer_samples_is_not_exchanged(study):
+    """With u = y_ref - y the log with exchanged columns, in which y has no gaps, describes the flight as well."""
+    by_error, columns = flown_by_error(study)
+    rare = slice(0, None, 5)
+    log = FlightLog("flight", {name: Column(TIME, values) for name, values in columns.items()}, 0.0)
+    log.columns["y"] = Column(TIME[rare], columns["y"][rare])
+    replay = replay_log(by_error, log)
+    assert "a replay needs 95 %" in "".join(replay.not_replayed.values())
+    assert replay.warnings == ()
+
+
+def test_a_difference_that_stays_is_no_exchange(study):
+    """Exchanged, the commands differ as much as before, which is less of what the output varies."""
+    by_error, columns = flown_by_error(study)
+    codes, _ = told(by_error, {**columns, "y": columns["y"] + 0.3 * np.sin(5.0 * TIME)})
+    assert codes == {"u_total": "another-command"}
+
+
 class FeedforwardReplay:
     """A replay of the controller u = y_ref' + 2 (y_ref - y), as that of a position by commands of a velocity."""
 
@@ -168,11 +199,13 @@ def test_an_output_of_another_channel_is_not_said_to_be_the_error(study, has_rat
     rates = {"y_dot": replay.reference[1] - 0.1 * np.cos(5.0 * TIME)} if has_rate else {}
     logged = {"y": y, "y_ref": replay.reference[0], **rates}
     logged["u_total"] = replay.command(logged)
-    hint = column_hints(replay, {**logged, "y": 0.003 * TIME}, 1.0)["y"]
+    drifting = {**logged, "y": 0.003 * TIME}
+    hint = column_hints(replay, drifting, replay.command(drifting))["y"]
     assert hint.code == "exchanged-columns"
     assert hint.text.startswith("does not change as y_dot tells: " if has_rate else "is not what the controller")
     assert "it is another channel's, or holds the error y" in hint.text
-    error = column_hints(replay, {**logged, "y": replay.reference[0] - y}, 1.0)["y"]
+    error_logged = {**logged, "y": replay.reference[0] - y}
+    error = column_hints(replay, error_logged, replay.command(error_logged))["y"]
     assert error.text.startswith("seems to hold the error y_ref - y: with that")
 
 

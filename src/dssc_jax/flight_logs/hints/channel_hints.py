@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dssc_jax.core.units import ChannelUnits
-from dssc_jax.flight_logs.channel_replay import ChannelReplay
+from dssc_jax.flight_logs.channel_replay import ChannelReplay, has_enough_outputs
 from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit, rate_hint
 from dssc_jax.flight_logs.hints.conversions import followed_conversion, rms
 from dssc_jax.flight_logs.hints.filtered_references import study_reference_hint
@@ -19,7 +19,7 @@ from dssc_jax.flight_logs.hints.other_gains import CLEARLY, other_gain, other_ga
 from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
 from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.replayed_clocks import replayed_clock
-from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
+from dssc_jax.flight_logs.hints.replayed_columns import column_hints
 from dssc_jax.flight_logs.hints.replayed_references import moved_reference
 from dssc_jax.flight_logs.hints.rounded_outputs import rounded_output_hint
 from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
@@ -102,10 +102,12 @@ def add_replay_hints(
         replay: Its controller.
         command: The controller's command, shape (samples,), or why there is none.
     """
+    if "u_total" not in channel.signals or not has_enough_outputs(channel.signals):
+        return
     columns = wrong_columns(replay, channel.signals, command, hints.conversions)
     if columns:
         hints.replace_columns(channel.name, columns)
-    elif not isinstance(command, str) and "u_total" in channel.signals:
+    elif not isinstance(command, str):
         add_command_hints(hints, log, channel, replay, command)
 
 
@@ -123,10 +125,7 @@ def wrong_columns(
         command: The controller's command for them, shape (samples,), or why there is none.
         conversions: What the signals alone tell; a hint of it about the same columns stays.
     """
-    if "u_total" not in signals:
-        return {}
-    share = np.inf if isinstance(command, str) else command_share(signals["u_total"], command)
-    hints = column_hints(replay, signals, share)
+    hints = column_hints(replay, signals, command)
     for name, hint in hints.items():
         columns = hint.text.partition(":")[0]
         if name in conversions and conversions[name].text.startswith(columns):

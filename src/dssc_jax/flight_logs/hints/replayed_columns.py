@@ -45,23 +45,28 @@ class OtherColumns(NamedTuple):
     signals: Mapping[str, np.ndarray]
 
 
-def column_hints(replay: ChannelReplay, logged: Mapping[str, np.ndarray], present_share: float) -> dict[str, Hint]:
+def column_hints(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray | str) -> dict[str, Hint]:
     """The hint about a channel's columns, by signal; empty if the analysed controller knows no better ones.
 
     Args:
         replay: The channel's controller.
         logged: The channel's signals by their names without it, NaN where missing, each of shape (samples,).
-        present_share: The share by :func:`command_share` with the columns that were given; infinite without a replay.
+        command: The controller's command for the columns that were given, shape (samples,), or why there is none.
     """
-    if present_share <= DESCRIBED:
-        return {}
+    largest_share = DESCRIBED
+    largest_difference = np.inf
+    if not isinstance(command, str):
+        present_share = command_share(logged["u_total"], command)
+        if present_share <= DESCRIBED:
+            return {}
+        largest_share = min(DESCRIBED, FEWER * present_share)
+        largest_difference = FEWER * command_difference(logged["u_total"], command)
     channel = replay.study.loop.channels[replay.index]
-    largest_share = min(DESCRIBED, FEWER * present_share)
-    sign, sign_share = best_columns(replay, opposite_signs(replay, logged), largest_share)
+    sign, sign_share = best_columns(replay, opposite_signs(replay, logged), largest_share, largest_difference)
     if sign is not None:
         largest_share = CLEARLY * sign_share
     exchanges = (*errors_as_outputs(replay, logged), *exchanged_columns(replay, logged))
-    best, least_share = best_columns(replay, exchanges, largest_share)
+    best, least_share = best_columns(replay, exchanges, largest_share, largest_difference)
     if best is None:
         best, least_share = sign, sign_share
     if best is None:
@@ -78,21 +83,28 @@ def column_hints(replay: ChannelReplay, logged: Mapping[str, np.ndarray], presen
 
 
 def best_columns(
-    replay: ChannelReplay, candidates: Iterable[OtherColumns], largest_share: float
+    replay: ChannelReplay, candidates: Iterable[OtherColumns], largest_share: float, largest_difference: float
 ) -> tuple[OtherColumns | None, float]:
     """The columns with which the controller best gives the logged command, and the share by :func:`command_share`.
+
+    With u = y_ref - y the output and the command may be exchanged, and the difference of the commands stays. It is a
+    smaller share of what varies more, but no reason to exchange them.
 
     Args:
         replay: The channel's controller.
         candidates: The columns to try.
         largest_share: Share below which columns count; None is returned if there are none.
+        largest_difference: Difference of the commands by :func:`command_difference` below which columns count.
     """
     best = None
     least_share = largest_share
     for candidate in candidates:
         command = replay.command(candidate.signals)
-        share = np.inf if isinstance(command, str) else command_share(candidate.signals["u_total"], command)
-        if share < least_share:
+        if isinstance(command, str):
+            continue
+        share = command_share(candidate.signals["u_total"], command)
+        difference = command_difference(candidate.signals["u_total"], command)
+        if share < least_share and difference < largest_difference:
             least_share = share
             best = candidate
     return best, least_share
@@ -160,19 +172,27 @@ def moves_by_rate(logged: Mapping[str, np.ndarray], sample_time: float) -> bool:
     return not is_other and likeness_to_integral(y, y_dot) > INTEGRAL
 
 
-def command_share(logged: np.ndarray, command: np.ndarray) -> float:
-    """The difference of two commands, but for a constant, over the deviation of the logged one; both root mean squares.
-
-    Infinite with too few values, or where the logged one rests.
-    """
+def command_difference(logged: np.ndarray, command: np.ndarray) -> float:
+    """The difference of two commands, but for a constant, as a root mean square; infinite with too few values."""
     difference = logged - command
     is_finite = np.isfinite(difference)
     if np.count_nonzero(is_finite) < LEAST_VALUES:
         return np.inf
+    return rms(difference - np.median(difference[is_finite]))
+
+
+def command_share(logged: np.ndarray, command: np.ndarray) -> float:
+    """The difference by :func:`command_difference` over the deviation of the logged command, a root mean square.
+
+    Infinite with too few values, or where the logged one rests.
+    """
+    is_finite = np.isfinite(logged - command)
+    if not is_finite.any():
+        return np.inf
     deviation = rms(logged - np.median(logged[is_finite]))
     if not 0.0 < deviation < np.inf:
         return np.inf
-    return rms(difference - np.median(difference[is_finite])) / deviation
+    return command_difference(logged, command) / deviation
 
 
 def errors_as_outputs(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> Iterator[OtherColumns]:
