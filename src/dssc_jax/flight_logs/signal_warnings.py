@@ -56,6 +56,7 @@ WarningCode: TypeAlias = Literal[
     "rounded-output",
     "row-numbers",
     "shifted-command",
+    "shifted-output",
     "shifted-reference",
     "slower-controller",
     "start-in-air",

@@ -15,12 +15,12 @@ from dssc_jax.flight_logs.hints.conversions import followed_conversion, rms
 from dssc_jax.flight_logs.hints.filtered_references import study_reference_hint
 from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.measured_rates import mended_rate
+from dssc_jax.flight_logs.hints.moved_signals import moved_output, moved_reference
 from dssc_jax.flight_logs.hints.other_gains import CLEARLY, other_gain, other_gain_hint
 from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
 from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.replayed_clocks import replayed_clock
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints
-from dssc_jax.flight_logs.hints.replayed_references import moved_reference
 from dssc_jax.flight_logs.hints.rounded_outputs import rounded_output_hint
 from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
 from dssc_jax.flight_logs.reading.reader import FlightLog, signal_name
@@ -177,9 +177,13 @@ def add_command_hints(
         command = scaled.command
     elif not has_wrong_output and y_ref not in hints.shifts and y_ref not in hints.others:
         reference = moved_reference(replay, signals, command)
+        output = moved_output(replay, signals, command) if reference is None else None
         if reference is not None:
             hints.shifts[y_ref] = reference.hint
             command = reference.command
+        elif output is not None:
+            hints.factors[y] = output.hint
+            command = output.command
     has_study_reference = not has_wrong_output and has_wrong_reference(replay, signals, command)
     is_told = any(y_ref in found for found in (hints.shifts, hints.others, hints.conversions))
     if has_study_reference and "y_ref" in signals and not is_told:

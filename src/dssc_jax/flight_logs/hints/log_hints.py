@@ -18,8 +18,8 @@ class LogHints:
         starts: Numbers at which the study starts while the flight cannot have.
         attitudes: Numbers of the attitude at which the study starts while the log has another.
         estimator: Counters of resets of the estimator, and flags that call its values invalid.
-        factors: Outputs that stick, or are not the integrals of their derivatives by a factor that names no unit;
-            commands that are not the analysed controller's; times ``t`` that repeat.
+        factors: Outputs that stick, were at another time, or are not the integrals of their derivatives by a factor
+            that names no unit; commands that are not the analysed controller's; times ``t`` that repeat.
         jumps: Outputs that jump while their derivatives do not.
         others: References that are not the study's, for no reason that is known.
     """

@@ -1,9 +1,9 @@
-"""References that reached the controller at another time; other faults and gains are none of these."""
+"""References and outputs that reached the controller at another time; other faults and gains are none of these."""
 
 import numpy as np
 import pytest
 
-from dssc_jax.flight_logs.hints.replayed_references import moved
+from dssc_jax.flight_logs.hints.moved_signals import moved
 from dssc_jax.flight_logs.replay import replay_log
 from tests.flight_logs.hints.test_replayed_columns import GAINS, PULSES, flown, log_of, study
 
@@ -29,6 +29,17 @@ def test_the_time_of_the_reference_is_found(study, shift, words, is_logged):
         "y_ref is not what the controller got: " if is_logged else "y_ref is not in the log, and the study's was used: "
     )
     assert text.startswith(f"{begin}with one {words} the analysed controller gives the logged u_total to ")
+
+
+@pytest.mark.parametrize(("shift", "words"), [(15, "0.3 s earlier"), (4, "0.08 s earlier"), (-6, "0.12 s later")])
+def test_the_time_of_the_output_is_found(study, shift, words):
+    """A clock of the measurements beside that of the commands."""
+    columns = flown()
+    warnings = told_of(study, {**columns, **{name: moved(columns[name], shift) for name in ("y", "y_dot")}})
+    code, text = warnings["y"]
+    assert code == "shifted-output"
+    assert text.startswith(f"y is not what the controller got at that time: with one {words} the analysed controller")
+    assert "u_total" not in warnings
 
 
 def test_other_faults_are_no_moved_references(study):
