@@ -110,8 +110,10 @@ def moved_output(replay: ChannelReplay, logged: Mapping[str, np.ndarray], comman
     move = best_move(replay, logged, measurement, command)
     if move is None:
         return None
-    remedy = "log the time of the measurement, not that of its arrival (`timestamp_sample` of PX4), and compare clocks"
-    text = f"is not what the controller got at that time: {reason_of(replay, move)}. If it is late, {remedy}"
+    text = (
+        f"is not what the controller got at that time: {reason_of(replay, move)}. If it is late, log the time of the "
+        "measurement, not that of its arrival (`timestamp_sample` of PX4), and compare clocks"
+    )
     return MovedSignal(Hint("shifted-output", text), move.command)
 
 

@@ -1,4 +1,4 @@
-"""Outputs that are logged some per cent too large or too small, or with an offset, as the analysed controller tells.
+"""Outputs that are logged too large or too small, or with an offset, as the analysed controller tells.
 
 The controller answers the error y_ref - y. Where the logged y is not the one that it got, its command for the log
 differs from the logged command. The factor is sought with which both agree.
@@ -16,17 +16,33 @@ from dssc_jax.flight_logs.reading.reader import forward_filled, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
 
 LARGEST = 1e100  # difference of two commands: squares of larger ones overflow
-LARGEST_FACTOR = 1.4  # of a scale that is sought, and its inverse
 WINDOW = 0.5  # s over which differences are averaged: noise of y in a derivative has no longer memory
 LEAST_WINDOWS = 16
 LEAST_DIFFERENCE = 0.01  # of the factor from 1
 DEVIATIONS = 6.0  # least distance of the factor from 1, in its standard deviations
-EXPLAINED = 0.3  # largest share of the averaged difference that the factor leaves
+EXPLAINED = 0.3  # largest share of the averaged difference that another reference leaves
 CLEARLY = 0.5  # share of what another cause leaves: less, and the factor is the better explanation
 BATCHES = 8  # parts of the difference, whose sums tell the factor's deviation
 FITTED = 2  # numbers of the regression: the factor and a constant
-COARSE = 9  # factors that are tried first
 STEP = 1e-4  # relative change of a number for a derivative by it
+
+
+class ScaleSearch(NamedTuple):
+    """A search for the factor of an output.
+
+    Args:
+        largest: The largest factor, and the inverse of the least.
+        points: Factors that are tried first.
+        explained: Largest share of the averaged difference that the factor leaves.
+    """
+
+    largest: float
+    points: int
+    explained: float
+
+
+SMALL_FACTORS = ScaleSearch(largest=1.4, points=9, explained=0.3)
+LARGE_FACTORS = ScaleSearch(largest=2000.0, points=61, explained=0.1)
 
 
 class Scale(NamedTuple):
@@ -100,7 +116,7 @@ def scaled_output(replay: ChannelReplay, logged: Mapping[str, np.ndarray], comma
     if not COMMAND_ROUNDING * rms(logged["u_total"]) < difference < LARGEST or not has_study_reference(replay, logged):
         return None
     averaged = AveragedDifference(replay, logged)
-    scale = fitted_scale(averaged)
+    scale = fitted_scale(averaged, SMALL_FACTORS) or fitted_scale(averaged, LARGE_FACTORS)
     if scale is None:
         return None
     channel = replay.study.loop.channels[replay.index]
@@ -142,8 +158,13 @@ def has_study_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray])
     return column is None or not np.isfinite(column).any() or is_close(forward_filled(column), reference)
 
 
-def fitted_scale(averaged: AveragedDifference) -> Scale | None:
-    """The factor of the output with which both commands agree best; None if it is not certain, or near 1."""
+def fitted_scale(averaged: AveragedDifference, search: ScaleSearch) -> Scale | None:
+    """The factor of the output with which both commands agree best; None if it is not certain, or near 1.
+
+    Args:
+        averaged: The difference of the commands.
+        search: The factors to try.
+    """
     before = averaged.at(1.0)
     if len(before) < LEAST_WINDOWS or not rms(before) > 0.0:
         return None
@@ -152,12 +173,12 @@ def fitted_scale(averaged: AveragedDifference) -> Scale | None:
         """The root mean square of the averaged difference for a factor."""
         return rms(averaged.at(float(np.exp(logarithm))))
 
-    widest = float(np.log(LARGEST_FACTOR))
-    logarithm, _ = bounded_minimum(cost, np.linspace(-widest, widest, COARSE))
+    widest = float(np.log(search.largest))
+    logarithm, _ = bounded_minimum(cost, np.linspace(-widest, widest, search.points))
     factor = float(np.exp(logarithm))
     after = averaged.at(factor)
     share = rms(after) / rms(before)
-    if not share < EXPLAINED or abs(logarithm) > 0.95 * widest or abs(factor - 1.0) < LEAST_DIFFERENCE:
+    if not share < search.explained or abs(logarithm) > 0.95 * widest or abs(factor - 1.0) < LEAST_DIFFERENCE:
         return None
     slope = (averaged.at(factor * (1.0 + STEP)) - after) / (STEP * factor)
     size = float(slope @ slope)
