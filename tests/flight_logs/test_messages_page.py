@@ -18,6 +18,7 @@ PARTS = (
     "with the study's reference the analysed controller gives",
     "Compare the log's columns",  # remedies, at the end of a message
     "Begin at the take-off",
+    "The vehicle was not yet in the equilibrium",
     "Log the time",
     "its column may be another signal's. If the reference is a record",
     "shift the study's reference, or let its record begin",

@@ -8,7 +8,7 @@ from dssc_jax.flight_logs.fit.fit import fit_log
 from dssc_jax.flight_logs.fit.refusals import Unexplained
 from dssc_jax.flight_logs.fit.start_doubts import wind_doubts
 from dssc_jax.flight_logs.hints.attitudes import attitude_hints
-from dssc_jax.flight_logs.hints.starts import begins_in_air
+from dssc_jax.flight_logs.hints.starts import begins_in_air, fixed_integrals, start_remedy
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog, read_log
 from tests.flight_logs.fit.test_fit import linear, log_of, output
 
@@ -47,6 +47,15 @@ def test_a_level_start_in_the_air_in_wind_is_doubted(inner_loop, in_air, level, 
     assert begins_in_air(chosen) == in_air
     told = "".join(doubt.text for doubt in wind_doubts(chosen))
     assert ("a vehicle in wind is tilted" in told) == (in_air and level and bool(wind))
+
+
+def test_a_settled_start_is_not_advised_again():
+    for inner_loop, words in (({}, "set plant.inner_loop.start = 'settled'"), ({"start": "settled"}, "begin the log")):
+        flying = study(inner_loop, [])
+        remedy = start_remedy(flying, list(fixed_integrals(flying))[-1])
+        assert words in remedy
+        assert "velocity_integral = [0.0, 0.0, { normal = [0.0, 1.0] }] in [plant.inner_loop]" in remedy
+        assert ("= 'settled'" in remedy) is (inner_loop == {})
 
 
 @pytest.mark.parametrize("given", [{"roll": 0.1}, {"pitch": {"normal": [0.0, 0.1]}}])

@@ -16,6 +16,7 @@ from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.refusals import FitRefused
 from dssc_jax.flight_logs.hints.starts import fixed_integrals, start_remedy
 from dssc_jax.statistics.correlated_noise import weighted_products
+from dssc_jax.study import Study
 
 SIGNIFICANCE = 1e-4  # p-value below which integrals differ from those of the study
 LARGE_MOVE = 1.0  # least move of an estimate by free integrals that matters, in its standard deviations
@@ -110,8 +111,12 @@ def gauss_newton_step(
     )
 
 
-def require_first_integrals(integrals: FreeIntegrals | None) -> None:
+def require_first_integrals(study: Study, integrals: FreeIntegrals | None) -> None:
     """Require that a flight's first integrals are those of the study, or that the estimates do not depend on them.
+
+    Args:
+        study: The study.
+        integrals: The integrals that the flight shows; None: the study has no plain numbers for them.
 
     Raises:
         StartsElsewhere: They are others.
@@ -124,5 +129,5 @@ def require_first_integrals(integrals: FreeIntegrals | None) -> None:
     raise StartsElsewhere(
         f"the flight did not begin with the study's integrals: its outputs show {values_text} "
         f"(p = {integrals.p_value:.1g}), and {number} would be {abs(move):.3g} of its standard deviations off. "
-        f"{start_remedy(integrals.names[-1])}"
+        f"{start_remedy(study, integrals.names[-1])}"
     )

@@ -244,7 +244,7 @@ def fitted_minimum(
     fitted = problem.fitted
     fitted_names = problem.fitted_names
     require_identifiable(fitted_names, marginal_information(search.best.equations.information, fitted))
-    require_first_integrals(free_integrals(problem, search.best))
+    require_first_integrals(study, free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
     covariance = averaged_covariance(problem, posteriors, x)

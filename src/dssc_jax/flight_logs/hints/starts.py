@@ -51,43 +51,54 @@ def begins_in_air(study: Study) -> bool:
         return False
     names = software.integrals(study.template.plant)
     initial_values = fixed_integrals(study)
-    return software.settled(study.template.plant) or any(initial_values.values()) or len(initial_values) < len(names)
+    return is_settled(study) or any(initial_values.values()) or len(initial_values) < len(names)
 
 
 def begins_level(study: Study) -> bool:
     """Whether a vehicle begins without a tilt, whatever the wind."""
     software = study.loop.mimo_plant.software
-    if software is None or software.settled(study.template.plant):
+    if software is None or is_settled(study):
         return False
     tilts = [study.numbers.get(f"plant.{name}") for name in ("roll", "pitch")]
     return all(number is None or number.value == 0.0 for number in tilts)
 
 
-def start_remedy(name: str) -> str:
+def start_remedy(study: Study, name: str) -> str:
     """What to do about integrals that start elsewhere.
 
     Args:
+        study: The study, whose plant has software on board.
         name: Name of one of them, such as ``plant.inner_loop.velocity_integral.2``.
     """
     section, field, _ = name.rsplit(".", 2)
+    laws = f"{field} = [0.0, 0.0, {{ normal = [0.0, 1.0] }}] in [{section}]"
+    if is_settled(study):
+        return (
+            "The vehicle was not yet in the equilibrium from which the study starts: begin the log later, or at the "
+            f"take-off without {section}.start, or give the integrals laws, such as {laws}, which a fit estimates"
+        )
     return (
         f"Begin at the take-off, set {section}.start = 'settled' for a vehicle that hovers in still air or in a steady "
-        f"wind, or give the integrals laws, such as {field} = [0.0, 0.0, {{ normal = [0.0, 1.0] }}] in [{section}], "
-        "which a fit estimates"
+        f"wind, or give the integrals laws, such as {laws}, which a fit estimates"
     )
+
+
+def is_settled(study: Study) -> bool:
+    """Whether the plant has software on board whose integrals start in the equilibrium."""
+    software = study.loop.mimo_plant.software
+    return software is not None and software.settled(study.template.plant)
 
 
 def start_hints(study: Study, log: FlightLog) -> dict[str, Hint]:
     """Hints that the study's integrals start at 0 while the log begins in the air, by the integrals' name."""
-    software = study.loop.mimo_plant.software
     initial_values = fixed_integrals(study)
-    if software is None or not initial_values or software.settled(study.template.plant) or any(initial_values.values()):
+    if not initial_values or is_settled(study) or any(initial_values.values()):
         return {}
     reason = airborne_reason(study, log)
     if not reason:
         return {}
     vertical = list(initial_values)[-1]
-    text = f"starts at 0, as after a take-off, and {reason}. {start_remedy(vertical)}"
+    text = f"starts at 0, as after a take-off, and {reason}. {start_remedy(study, vertical)}"
     return {vertical.rpartition(".")[0]: Hint("start-in-air", text)}
 
 
