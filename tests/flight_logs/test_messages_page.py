@@ -19,6 +19,7 @@ PARTS = (
     "Compare the log's columns",  # remedies, at the end of a message
     "Begin at the take-off",
     "The vehicle was not yet in the equilibrium",
+    "= [0.0, 0.0, { normal",
     "Log the time",
     "its column may be another signal's. If the reference is a record",
     "shift the study's reference, or let its record begin",
