@@ -58,6 +58,7 @@ PARTS = (
     "Give the study that lag with a law",
     "The logged y lies as much behind",
     "Log the command times the gain",
+    "Fit the part that ends before",
 )
 PASSED_ON = ("output-likeness", "clock-rate", "row-numbers", "repeated-times")  # other modules word the message
 

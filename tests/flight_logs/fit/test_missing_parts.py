@@ -162,9 +162,9 @@ def test_an_actuator_that_rounds_is_told_with_its_step(predictions, step):
 
 
 def test_a_part_that_leaves_more_than_noise_proposes_no_estimate(predictions):
-    """A jump of the gain is none of the parts; a fall that is linear in time resembles it."""
+    """A gain that falls in steps is none of the parts; one that is linear in time resembles it."""
     u = commands_of(7)
-    gains = np.where(np.arange(len(u)) < len(u) // 2, K_P, 0.8 * K_P)
+    gains = K_P * np.repeat([1.0, 0.9, 0.8, 0.7], len(u) // 4)
     fitted = fit_log(linear(), log_of(flown(no_force, 7, u, gains), u), predictions=predictions)
     (doubt,) = told(fitted)
     assert " remain, where noise explains 0.00" in doubt.text

@@ -1,4 +1,4 @@
-"""Forces that begin during a flight: their times between the samples, and what a fit says with the proposed law."""
+"""Forces and falls of the gain that begin during a flight: their times, and what a fit by the advice says."""
 
 import re
 
@@ -8,7 +8,13 @@ import pytest
 from dssc_jax.flight_logs.fit.fit import fit_log
 from dssc_jax.flight_logs.fit.flown_course import Flight
 from dssc_jax.flight_logs.fit.refusals import Unexplained
-from dssc_jax.flight_logs.fit.wind_steps import lacks_wind_step, pushed_from
+from dssc_jax.flight_logs.fit.sudden_parts import (
+    GAIN_STEP,
+    WIND_STEP,
+    lacking_sudden_parts,
+    pushed_from,
+    weakened_from,
+)
 from tests.flight_logs.fit.test_fit import DT, linear, log_of
 from tests.flight_logs.fit.test_missing_parts import A_P, FINE, K_P, commands_of, flown, no_force, told
 
@@ -43,14 +49,15 @@ def test_a_wind_that_begins_in_flight_is_told_with_its_time_and_size(predictions
 def test_a_refusal_names_a_wind_that_begins_in_flight(predictions):
     u = commands_of(8)
     wind = 0.1 / K_P * (np.arange(len(u)) >= 130)
-    with pytest.raises(Unexplained, match=r"begins at 2\.6 ± 0\.0074 s of the study, which the study lacks"):
+    with pytest.raises(Unexplained, match=r"begins at 2\.6 ± 0\.0078 s of the study, which the study lacks"):
         fit_log(linear(), log_of(flown(no_force, 8, u + wind), u), predictions=predictions)
 
 
 def test_a_study_with_a_force_that_begins_gets_no_second_one():
-    assert lacks_wind_step(linear())
-    assert lacks_wind_step(linear(disturbance={"kind": "constant", "value": {"uniform": [-0.1, 0.1]}}))
-    assert not lacks_wind_step(linear(disturbance={"kind": "step", "value": 0.1, "at": 2.0}))
+    both = [WIND_STEP, GAIN_STEP]
+    assert lacking_sudden_parts(linear()) == both
+    assert lacking_sudden_parts(linear(disturbance={"kind": "constant", "value": {"uniform": [-0.1, 0.1]}})) == both
+    assert lacking_sudden_parts(linear(disturbance={"kind": "step", "value": 0.1, "at": 2.0})) == [GAIN_STEP]
 
 
 def blown(seed, begin, size):
@@ -92,3 +99,22 @@ def test_a_force_between_two_samples_has_its_mean_over_the_first():
     flight = Flight(np.zeros(4), np.zeros(4), DT)
     np.testing.assert_allclose(pushed_from(1.0, flight, 2.0), [0.0, 2.0, 2.0, 2.0])
     np.testing.assert_allclose(pushed_from(1.25, flight, 2.0), [0.0, 1.5, 2.0, 2.0])
+    thrust = Flight(np.full(4, 2.0), np.zeros(4), DT)
+    np.testing.assert_allclose(weakened_from(1.25, thrust, 0.4), [2.0, 1.4, 1.2, 1.2])
+
+
+@pytest.mark.parametrize(("seed", "begin", "kept"), [(7, 4.0, 0.8), (4, 2.512, 0.9), (9, 6.0, 0.97), (5, 5.0, 1.2)])
+def test_a_gain_that_falls_at_a_moment_is_told_with_its_time_and_share(predictions, seed, begin, kept):
+    """As where a blade breaks, or a cell of the battery fails."""
+    u = commands_of(seed)
+    gains = np.where(DT / FINE * np.arange(FINE * len(u)) > begin - 1e-9, kept, 1.0).reshape(len(u), FINE)
+    log = log_of(flown(no_force, seed, gains * u[:, None]), u)
+    (doubt,) = told(fit_log(linear(), log, predictions=predictions))
+    assert doubt.code == "changing-gain"
+    percent, time, deviation = (
+        float(word) for word in re.findall(r" by (\S+) %, .* at (\S+) ± (\S+) s of the study", doubt.text)[0]
+    )
+    assert ("falls" in doubt.text) == (kept < 1.0)
+    assert percent == pytest.approx(100.0 * abs(1.0 - kept), abs=0.5)
+    assert abs(time - begin) < 4.0 * deviation
+    assert deviation < 0.3
