@@ -17,6 +17,7 @@ PARTS = (
     "with that, the analysed controller gives",
     "with the study's reference the analysed controller gives",
     "Compare the log's columns",  # remedies, at the end of a message
+    "give the study what acts on the flight",
     "Begin at the take-off",
     "Log the time",
     "its column may be another signal's. If the reference is a record",
