@@ -17,6 +17,7 @@ PARTS = (
     "with that, the analysed controller gives",
     "with the study's reference the analysed controller gives",
     "Compare the log's columns",  # remedies, at the end of a message
+    "give the study what acts on the flight",
     "Begin at the take-off",
     "The vehicle was not yet in the equilibrium",
     "= [0.0, 0.0, { normal",
@@ -60,6 +61,7 @@ PARTS = (
     "Give the study that lag with a law",
     "The logged y lies as much behind",
     "Log the command times the gain",
+    "Fit the part that ends before",
 )
 PASSED_ON = ("output-likeness", "clock-rate", "row-numbers", "repeated-times")  # other modules word the message
 

@@ -40,7 +40,7 @@ def test_a_large_constant_force_is_named_however_the_search_ended(simulations):
 def test_a_large_force_that_begins_in_flight_is_named_with_its_time():
     u = commands_of(1)
     text = refusal(u - 4.0 * (DT * np.arange(len(u)) >= 2.0), u)
-    size, begin = re.search(r"A constant force \((\S+) m/s, as of a wind\) that begins at (\S+) s", text).groups()
+    size, begin = re.search(r"A constant force \((\S+) m/s, as of a wind\) that begins at (\S+) ± \S+ s", text).groups()
     assert float(size) == pytest.approx(-4.0, 0.01)
     assert float(begin) == pytest.approx(2.0, abs=DT)
     assert remaining(text) < 1.2 * NOISE

@@ -7,7 +7,13 @@ import tomli_w
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit.fit import fit_log
-from dssc_jax.flight_logs.hints.integrals import are_exchanged, integral_factor, jumps_beside, unit_text
+from dssc_jax.flight_logs.hints.integrals import (
+    are_exchanged,
+    integral_drift,
+    integral_factor,
+    jumps_beside,
+    unit_text,
+)
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import replay_log
 from tests.flight_logs.fit.test_fit import DT, linear
@@ -34,10 +40,13 @@ def test_the_factor_of_a_clean_log_is_one(seed):
 @pytest.mark.parametrize(("clock", "y_scale"), [(1.03, 1.0), (0.97, 1.0), (1.0, 3.28084), (1.0, -1.0), (1.0, 0.5)])
 def test_the_factor_is_that_of_unit_and_clock(clock, y_scale):
     """By construction: the integral over a clock that runs 1.03 times as fast is 1.03 times as large."""
-    values = [integral_factor(*flight(seed, clock=clock, y_scale=y_scale), -1.0, 100.0) for seed in range(20)]
-    assert all(factor.differs for factor in values)
-    errors = np.array([(factor.value - y_scale / clock) / factor.deviation for factor in values])
-    assert 0.3 < np.sqrt(np.mean(errors**2)) < 2.0
+    errors = []
+    for seed in range(20):
+        factor = integral_factor(*flight(seed, clock=clock, y_scale=y_scale), -1.0, 100.0)
+        assert factor is not None
+        assert factor.differs
+        errors.append((factor.value - y_scale / clock) / factor.deviation)
+    assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 2.0
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -122,6 +131,47 @@ def test_a_clock_that_runs_too_fast_is_told():
     assert hints.factors["y"].text.startswith("changes by 0.97")
     assert "the log's clock is 1.028 times too fast" in hints.factors["y"].text
     assert not hints.conversions
+
+
+def test_a_scale_of_the_rate_is_the_first_cause():
+    """Its remedy comes with the clock and the output as the others."""
+    for rate_scale, words in ((1.15, "y_dot is 1.1"), (0.9, "y_dot is 1.1")):
+        y, rate = flight(rate_scale=rate_scale)
+        log = FlightLog("flight", {"y": y, "y_dot": rate}, 0.0)
+        text = replay_log(linear(), log, commands=False).hints.factors["y"].text
+        cause = text.split(": ")[1]
+        assert cause.startswith(f"most likely {words}")
+        assert ("too large" in cause.split(",")[0]) == (rate_scale > 1.0)
+        scale = float(text.split("a scale of ")[1].split()[0])
+        assert scale * rate_scale == pytest.approx(1.0, abs=0.005)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_bias_of_the_rate_is_a_drift_beside_its_integral(seed):
+    """Noise, a wandering bias and a factor are none."""
+    y, rate = flight(seed)
+    assert integral_drift(y, rate, -1.0, 100.0) == 0.0
+    for bias in (0.05, -0.3):
+        biased = rate._replace(value=rate.value + bias)
+        assert integral_drift(y, biased, -1.0, 100.0) == pytest.approx(-bias, abs=0.01)
+    walk = np.cumsum(np.random.default_rng(seed).normal(size=400))
+    assert integral_drift(y, rate._replace(value=rate.value + 0.01 * walk), -1.0, 100.0) == 0.0
+    assert integral_drift(*flight(seed, rate_scale=1.15), -1.0, 100.0) == 0.0
+    assert integral_drift(y, rate, -1.0, 0.2) == 0.0  # too few values
+
+
+def test_a_drift_is_told_with_the_offset_that_takes_it_off():
+    y, rate = flight()
+    drifting = y._replace(value=y.value + 0.1 * TIME)
+    hint = replay_log(linear(), FlightLog("flight", {"y": drifting, "y_dot": rate}, 0.0), False).hints.factors["y"]
+    assert hint.code == "integral-drift"
+    assert "y_dot has a bias of -0.1 m/s, or y drifts" in hint.text
+    assert "give the column of y_dot an offset of 0.1" in hint.text
+    declared = linear(sensor={"kind": "noisy", "velocity_bias": {"normal": [0.0, 0.1]}})
+    assert not replay_log(declared, FlightLog("flight", {"y": drifting, "y_dot": rate}, 0.0), False).hints.factors
+    mended = rate._replace(value=rate.value + 0.1)
+    log = FlightLog("flight", {"y": drifting, "y_dot": mended}, 0.0)
+    assert not replay_log(linear(), log, False).hints.factors
 
 
 def test_a_jump_of_ten_times_the_noise_is_told_and_an_outlier_is_none():

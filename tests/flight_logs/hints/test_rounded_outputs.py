@@ -1,6 +1,7 @@
 """Outputs that are rounded by more than their noise: what is told, what is not, and which warnings are left out."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,17 +52,28 @@ def test_a_rounded_output_is_told_and_its_steps_are_no_jumps():
     assert jump.size == pytest.approx(1.0, abs=0.1)
 
 
-def test_steps_of_rounding_are_no_outliers_of_a_fit():
+def doubts(values, way):
+    """The doubts of a residual against the true way."""
+    readings = SimpleNamespace(channel=0, times=0.02 * np.arange(len(way)), values=values, sensor=0.0)
+    residual = (values - way)[:, None]
+    problem: Any = SimpleNamespace(study=linear(), readings=[readings], columns=lambda x: [residual])
+    return outlier_doubts(problem, np.zeros(1))
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        0.3 * (1.0 - np.cos(0.4 * TIME)),
+        0.16 * (1.0 - np.cos(0.4 * TIME)),  # four values
+        8.0 * (1.0 - np.cos(0.001 * np.arange(8000))),  # whose deviation is 56 steps
+    ],
+)
+def test_steps_of_rounding_are_told_as_that_and_are_no_outliers_of_a_fit(way):
     """A slow way, whose readings step at a few of its samples; a larger jump is told all the same."""
-    way = 0.3 * (1.0 - np.cos(0.4 * TIME))
-
-    def doubts(values):
-        """The codes of a residual against the true way."""
-        readings = SimpleNamespace(channel=0, times=TIME, values=values, sensor=0.0)
-        residual = (values - way)[:, None]
-        problem = SimpleNamespace(study=linear(), readings=[readings], columns=lambda x: [residual])
-        return [doubt.code for doubt in outlier_doubts(problem, np.zeros(1))]
-
-    assert outliers(TIME, rounded(0.0, way=way) - way, 0.0)
-    assert doubts(rounded(0.0, way=way)) == []
-    assert doubts(rounded(0.0, way=way) + np.where(TIME > 7.0, 1.0, 0.0)) == ["output-jump"]
+    values = rounded(0.0, way=way)
+    assert outliers(0.02 * np.arange(len(way)), values - way, 0.0)
+    (rounding,) = doubts(values, way)
+    assert rounding.code == "rounded-output"
+    assert rounding.text.startswith("y is rounded to 0.1 m, ")
+    with_jump = doubts(values + np.where(np.arange(len(way)) > 350, 1.0, 0.0), way)
+    assert "output-jump" in [doubt.code for doubt in with_jump]

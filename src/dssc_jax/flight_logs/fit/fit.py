@@ -46,9 +46,9 @@ from dssc_jax.flight_logs.fit.refusals import (
     refusal_text,
     require_identifiable,
     require_unique_minimum,
-    strength_hint,
     unexplained_place,
 )
+from dssc_jax.flight_logs.fit.residual_advice import advice_text
 from dssc_jax.flight_logs.fit.residual_causes import doubts_of_estimates, refusal_causes
 from dssc_jax.flight_logs.fit.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.fit.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
@@ -196,7 +196,8 @@ def none_identified(problem: FitProblem, best: Minimum, unidentified: Unidentifi
     """
     results = explain(problem, best.x)
     require_explained(problem, best, results)
-    causes = (*doubts(problem, best.x, results), *column_causes(problem, best))
+    causes = column_causes(problem, best)
+    causes = (*causes, *doubts(problem, best.x, results, causes))
     doubt_texts = "".join(f". {doubt.text}" for doubt in causes)
     return NotIdentifiable(
         f"the flight identifies none of {', '.join(unidentified.widths)}: their laws are narrower than what it leaves "
@@ -219,8 +220,8 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
     if not causes:
         causes, is_explained = refusal_causes(problem, best, results)
     hint = "" if is_explained else conversion_hint(problem, best.x, place)
-    reasons = "".join(f". {doubt.text}" for doubt in causes) or strength_hint(problem.study)
-    raise Unexplained(f"{refusal_text(problem, best.x, place, results[place])}{hint}{reasons}", causes)
+    advice = advice_text(problem.study, hint, causes)
+    raise Unexplained(f"{refusal_text(problem, best.x, place, results[place])}{advice}", causes)
 
 
 def fitted_minimum(

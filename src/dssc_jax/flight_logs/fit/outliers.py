@@ -7,9 +7,9 @@ import numpy as np
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.hints.integrals import usual_size
 from dssc_jax.flight_logs.hints.output_steps import step_cause
-from dssc_jax.flight_logs.hints.rounded_outputs import AT_MOST, output_rounding
+from dssc_jax.flight_logs.hints.rounded_outputs import AT_MOST, output_rounding, rounded_output_hint
 from dssc_jax.flight_logs.reading.reader import signal_name
-from dssc_jax.flight_logs.signal_warnings import SignalWarning
+from dssc_jax.flight_logs.signal_warnings import SignalWarning, signal_warnings
 
 OUTSTANDING = 8.0  # factor on the usual change from one reading to the next: a larger change is no noise
 MOST_SHARE = 0.06  # of the changes that may stand out, two for a spike: more are the study's or the noise's way
@@ -70,16 +70,23 @@ def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Out
 
 
 def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[SignalWarning, ...]:
-    """The doubts about readings that stand out of the residual at coordinates x, by channel, with the remedy."""
+    """The doubts about readings that stand out of the residual at coordinates x, by channel, with the remedy.
+
+    Changes that a rounding of the readings makes, however fine it is beside the output, are told as that.
+    """
     doubts = []
     for readings, columns in zip(problem.readings, problem.columns(x), strict=True):
         name = signal_name(problem.study.loop.channels[readings.channel], "y")
         unit = problem.study.units[readings.channel].output
-        least_size = AT_MOST * output_rounding(readings.values)  # smaller changes are those of its rounding
         changes = []
-        for outlier in outliers(readings.times, columns[:, 0], float(np.sqrt(readings.sensor))):
+        least_size = AT_MOST * output_rounding(readings.values, coarse=0.0)
+        found = outliers(readings.times, columns[:, 0], float(np.sqrt(readings.sensor)))
+        for outlier in found:
             if abs(outlier.size) > least_size:
                 changes.append(outlier)
+        if len(changes) < len(found):
+            rounded = rounded_output_hint(problem.study, readings.channel, readings.values, coarse=0.0)
+            doubts += signal_warnings({} if rounded is None else {name: rounded})
         single = [outlier for outlier in changes if not outlier.lasts]
         jumps = [outlier for outlier in changes if outlier.lasts]
         if single:

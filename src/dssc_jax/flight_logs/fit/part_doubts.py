@@ -28,7 +28,7 @@ from dssc_jax.flight_logs.fit.refits import Refit
 from dssc_jax.flight_logs.fit.refusals import MOST_UNEXPLAINED, MUCH_LARGER, Explained, signal_and_unit
 from dssc_jax.flight_logs.fit.settled_forces import STICKING, settled
 from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE
-from dssc_jax.flight_logs.fit.wind_steps import fitted_wind_step, lacks_wind_step
+from dssc_jax.flight_logs.fit.sudden_parts import fitted_sudden_part, lacking_sudden_parts
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 EQUALLY = 2.0  # difference of twice the log likelihood of causes of which none is likelier (barely worth a mention)
@@ -90,13 +90,13 @@ def part_causes(
         return None
     flight = flown(problem, minimum)
     parts = lacking_parts(problem.study)
-    has_step = lacks_wind_step(problem.study)
+    sudden_parts = lacking_sudden_parts(problem.study)
     has_both_lags = all(part in parts for part in TWIN_LAGS)  # which are one cause
-    candidates = sum(part.choices == 1 for part in parts) + has_step - has_both_lags  # many choices pay for themselves
+    single = sum(part.choices == 1 for part in parts)  # many choices pay for themselves, and so do all sudden parts
+    candidates = single + bool(sudden_parts) - has_both_lags
     without = fit_without_part(problem, minimum, candidates, starts)
     fits = [fitted_part(problem, without, flight, part) for part in parts]
-    if has_step:
-        fits.append(fitted_wind_step(problem, without, flight))
+    fits += [fitted_sudden_part(problem, without, flight, sudden) for sudden in sudden_parts]
     certain = [fit for fit in fits if fit is not None and fit.p_value < SIGNIFICANCE and matters(fit)]
     if not certain:
         return None

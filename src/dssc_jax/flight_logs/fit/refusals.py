@@ -16,12 +16,12 @@ from scipy import stats
 from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, Readings
 from dssc_jax.flight_logs.fit.minima import MinimumSearch
-from dssc_jax.flight_logs.fit.prediction import NoiseProgram, declares_noise
+from dssc_jax.flight_logs.fit.prediction import NoiseProgram
+from dssc_jax.flight_logs.fit.residual_advice import REMEDY, cause_text
 from dssc_jax.flight_logs.hints.conversions import likeness_text
 from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import Noise, independent_samples
-from dssc_jax.study import Study
 
 MOST_UNEXPLAINED = 0.1  # share of the output's variance
 EXPLAINED_CONFIDENCE = 0.95  # confidence that a refused fit leaves more than that
@@ -29,7 +29,6 @@ MUCH_LARGER = 1.25  # than what noise explains of a residual: a larger residual 
 NOISE_CONFIDENCE = 0.9999  # confidence that noise alone is no larger than its limit
 NOISE_DEVIATIONS = 4.0  # standard deviations of the sizes of simulated noise, from their mean up to their limit
 LEAST_DOUBTED = 1e-5  # share of the output's variance left unexplained, in a residual that is doubted
-REMEDY = "Compare the log's columns, units, signs and start with the study, and its initial state"
 NOISIER = 3.0  # than the study's sensor: a residual with as much noise is doubted
 NOISE_REPLICATES = 16  # simulations of the study's noise
 SINGULAR_INFORMATION = 1e-10  # least eigenvalue of the scaled information matrix
@@ -186,8 +185,17 @@ def conversion_hint(problem: FitProblem, x: np.ndarray, place: int) -> str:
     return ""
 
 
-def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
-    """The doubts about residuals that are clearly larger than noise explains, by channel, with the remedy."""
+def doubts(
+    problem: FitProblem, x: np.ndarray, results: Sequence[Explained], causes: Sequence[SignalWarning] = ()
+) -> tuple[SignalWarning, ...]:
+    """The doubts about residuals that are clearly larger than noise explains, by channel, with cause or remedy.
+
+    Args:
+        problem: The least-squares problem of the log.
+        x: The coordinates of the numbers, shape (p,).
+        results: How well each channel is described there.
+        causes: Warnings of likely causes.
+    """
     reasons = []
     columns = problem.columns(x) if any(result.is_doubtful for result in results) else []
     for place, result in enumerate(results):
@@ -198,9 +206,7 @@ def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> 
         text = (
             f"the residual of {name} is {result.residual:.3g} {unit} rms, "
             f"{result.residual / max(result.noise, TINY):.3g} times the {result.noise:.3g} {unit} that noise explains, "
-            f"and {largest}: the study lacks something of this flight, such as a "
-            "limit or friction, or the log is not what the study takes it for. Estimates may be wrong by more than "
-            f"their intervals. {REMEDY}"
+            f"and {largest}: {cause_text(problem.study.loop.channels[problem.readings[place].channel], causes)}"
             f"{conversion_hint(problem, x, place)}"
         )
         reasons.append(SignalWarning(name, "large-residual", text))
@@ -256,7 +262,7 @@ def unexplained_place(results: Sequence[Explained]) -> int | None:
 
 
 def refusal_text(problem: FitProblem, x: np.ndarray, place: int, result: Explained) -> str:
-    """Why a fit is refused whose residual is more than noise, without the causes.
+    """Why a fit is refused whose residual is more than noise, without causes and advice.
 
     Args:
         problem: The least-squares problem of the log.
@@ -273,18 +279,7 @@ def refusal_text(problem: FitProblem, x: np.ndarray, place: int, result: Explain
         f"the study does not describe this flight: the residual of {name} is {result.residual:.3g} {unit} rms, "
         f"{largest}, noise explains {result.noise:.3g} {unit} of it, and {100 * result.unexplained:.3g} % of the "
         f"output's variance ({result.output:.3g} {unit})^2 is left unexplained, with {100 * EXPLAINED_CONFIDENCE:g} % "
-        f"confidence at least {100 * result.least_unexplained:.3g} %; at most {100 * MOST_UNEXPLAINED:g} % is "
-        f"accepted. {REMEDY}; give the study what acts on the flight (wind, disturbance, sensor noise), or wider laws"
-    )
-
-
-def strength_hint(study: Study) -> str:
-    """That a flight in strong gusts may be refused although the study declares gusts; empty if it declares none."""
-    if not declares_noise(study):
-        return ""
-    return (
-        ". The study's random disturbances are part of that noise. They exceed what is accepted in about one of 20 "
-        "flights at most, so this one may have met stronger ones: give their strength (std, turbulence) a larger value"
+        f"confidence at least {100 * result.least_unexplained:.3g} %; at most {100 * MOST_UNEXPLAINED:g} % is accepted"
     )
 
 

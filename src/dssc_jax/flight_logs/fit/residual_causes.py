@@ -67,7 +67,7 @@ def causes_beside_offset(mended: MendedCommand) -> tuple[SignalWarning, ...]:
 def doubts_of_estimates(
     problem: FitProblem, best: Minimum, results: list[Explained], deviations: np.ndarray
 ) -> tuple[SignalWarning, ...]:
-    """The doubts about a residual beside which a fit has estimates, and their likely causes.
+    """The likely causes of a residual beside which a fit has estimates, then the doubts about it.
 
     Args:
         problem: The least-squares problem of the log.
@@ -75,11 +75,11 @@ def doubts_of_estimates(
         results: How well each channel is described.
         deviations: Standard deviations of the fitted coordinates, shape (f,).
     """
-    doubts_of_residuals = doubts(problem, best.x, results)
     doubts_of_noise = noise_doubts(problem, best.x, results)
     mended = mended_command(problem, best, results)
     if mended is not None:
-        return (*causes_beside_offset(mended), *doubts_of_residuals, *doubts_of_noise)
+        causes = causes_beside_offset(mended)
+        return (*causes, *doubts(problem, best.x, results, causes), *doubts_of_noise)
     parts = NO_DOUBTS
     doubts_of_delays = dropout_doubts(problem, best)
     if not doubts_of_delays:
@@ -97,11 +97,9 @@ def doubts_of_estimates(
             doubts_of_start = doubts_of_speed
             parts = NO_DOUBTS
     with_outliers = {doubt.signal for doubt in doubts_of_outliers}
+    causes = (*doubts_of_start, *doubts_of_outliers, *doubts_of_delays, *parts.warnings)
     return (
-        *doubts_of_residuals,
-        *doubts_of_start,
-        *doubts_of_outliers,
+        *causes,
+        *doubts(problem, best.x, results, causes),
         *(doubt for doubt in doubts_of_noise if doubt.signal not in with_outliers),
-        *doubts_of_delays,
-        *parts.warnings,
     )

@@ -161,7 +161,7 @@ def add_command_hints(
     rate = None if y in hints.conversions else mended_rate(replay, signals, command)
     if rate is not None:
         hints.factors[channel.signal("y_dot")] = rate.hint
-        if y in hints.factors and hints.factors[y].code == "integral-factor":
+        if y in hints.factors and hints.factors[y].code in ("integral-factor", "integral-drift"):
             del hints.factors[y]
         command = rate.command
     hint = rate_hint(log.columns[name], replay.sample_time)

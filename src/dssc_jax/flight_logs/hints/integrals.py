@@ -1,7 +1,8 @@
 """Whether a logged output is the integral of its logged derivative: another factor is another unit, sign or clock.
 
 With X the integral of y' and the output y = a + b t + s X, the factor s is 1. A noise of y' and a drift of its bias are
-part of the residual. Batches of it, as long as its correlation, tell the deviation of s.
+part of the residual. Batches of it, as long as its correlation, tell the deviation of s. A constant bias of y', or a
+steady drift of y, is b.
 """
 
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from dssc_jax.flight_logs.hints.conversions import OPPOSITE, RATE_CONVERSIONS
+from dssc_jax.flight_logs.hints.conversions import OPPOSITE, RATE_CONVERSIONS, rms
 from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.output_steps import step_cause
 from dssc_jax.flight_logs.hints.rounded_outputs import AT_MOST, output_rounding
@@ -35,6 +36,12 @@ LASTING = 10.0  # factor on the typical difference of two means beside the rate:
 NEIGHBOURS = 8  # values of each mean
 MOST_JUMPS = 12  # of an output that has jumps, and no other error
 MOST_LISTED = 3  # jumps that a message lists
+RATE_BIAS = ".velocity_bias"
+"""End of the names of a sensor's bias of y'."""
+LEAST_DRIFT = 0.1  # of the output over the flight, as a share of its deviation
+LINEAR = 0.02  # of that drift: a larger departure from a straight line is that of noise in y', but for one in 10,000
+SAME_DRIFT = 0.5  # share of a drift by which it may change if the factor is free, too
+SMALL_FACTOR = 0.05  # distance of the factor from 1: a larger one makes a drift of its own
 TO_DEVIATION = 1.4826  # from the median size of normal numbers to their standard deviation
 
 
@@ -88,6 +95,38 @@ def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Facto
     scale = sizes[0] / sizes[1]
     factor, deviation = scale * factor, scale * deviation
     return Factor(factor, deviation) if error < SMALL_ERROR * min(abs(factor - 1.0), 1.0) else None
+
+
+def integral_drift(y: Column, y_dot: Column, begin: float, end: float) -> float:
+    """The slope over the time of an output less the integral of its rate; 0 if it is small, or no straight line.
+
+    Means over batches of the time count, which noise of the output hardly moves.
+
+    Args:
+        y: The output.
+        y_dot: Its rate.
+        begin: Time of the log from which on values count [s].
+        end: Time up to which they count [s].
+    """
+    output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
+    if min(len(output.time), len(slope.time)) < LEAST_VALUES or slope.time[-1] - slope.time[0] <= 0.0:
+        return 0.0
+    is_inside = (output.time >= slope.time[0]) & (output.time <= slope.time[-1])
+    time, value = output.time[is_inside], output.value[is_inside]
+    deviation = float(np.std(value)) if len(time) >= LEAST_VALUES else 0.0
+    if not 0.0 < deviation < np.inf:
+        return 0.0
+    integral = CubicSpline(slope.time, slope.value).antiderivative()(time)
+    design = np.column_stack([time - time[0], np.ones(len(time)), integral])
+    batches = np.array([part.mean(axis=0) for part in np.array_split(np.column_stack([design, value]), BATCHES)])
+    line = batches[:, :2]
+    difference = batches[:, 3] - batches[:, 2]
+    drift, offset = np.linalg.lstsq(line, difference, rcond=None)[0].tolist()
+    departure = rms(difference - line @ [drift, offset])
+    free_drift, _, factor = np.linalg.lstsq(design, value, rcond=None)[0].tolist()
+    total = abs(drift) * float(time[-1] - time[0])
+    is_same = abs(factor - 1.0) < SMALL_FACTOR and abs(free_drift - drift) < SAME_DRIFT * abs(drift)
+    return drift if is_same and total > LEAST_DRIFT * deviation and departure < LINEAR * total else 0.0
 
 
 def are_exchanged(y: Column, y_dot: Column, begin: float, end: float) -> bool:
@@ -299,10 +338,25 @@ def compare_with_integral(hints: LogHints, study: Study, index: int, log: Flight
         return
     if factor is not None and factor.differs:
         add_factor_hint(hints, factor, y_name, rate_name, unit)
+        return
+    drift = integral_drift(y, rate, log.start, end)
+    if drift != 0.0 and not declares_rate_bias(study):
+        rate_unit = study.units[index].of("y/s")
+        text = (
+            f"drifts by {drift:.3g} {rate_unit} beside the integral of {rate_name}, in proportion to the time: "
+            f"{rate_name} has a bias of {-drift:.3g} {rate_unit}, or {y_name} drifts. If it is the bias, give the "
+            f"column of {rate_name} an offset of {drift:.3g}"
+        )
+        hints.factors[y_name] = Hint("integral-drift", text)
+
+
+def declares_rate_bias(study: Study) -> bool:
+    """Whether a sensor of a study has a bias of y'."""
+    return any(name.endswith(RATE_BIAS) and number.value != 0.0 for name, number in study.numbers.items())
 
 
 def add_factor_hint(hints: LogHints, factor: Factor, y_name: str, rate_name: str, unit: str) -> None:
-    """Say what the factor between an output and the integral of its derivative means: a unit, a sign or a clock."""
+    """Say what the factor between an output and the integral of its derivative means: a unit, sign, scale or clock."""
     changes_less = abs(factor.value) < 1.0  # the output, than the integral
     multiple = unit_text(factor.value, unit)
     inverse = unit_text(1.0 / factor.value, unit)
@@ -317,10 +371,12 @@ def add_factor_hint(hints: LogHints, factor: Factor, y_name: str, rate_name: str
         text = f"{change}: one of both has the opposite sign, or is another signal. Compare them"
         hints.factors[y_name] = Hint("integral-factor", text)
         return
-    clock = f"{1.0 / factor.value:.4g} times too fast" if changes_less else f"{factor.value:.4g} times too slow"
+    ratio = 1.0 / factor.value if changes_less else factor.value
+    size, opposite, clock = ("large", "small", "fast") if changes_less else ("small", "large", "slow")
     text = (
-        f"{change}: the log's clock is {clock}, or one of both is in another unit or of another place. Compare the "
-        "times with those of another clock, and scale the times or the column"
+        f"{change}: most likely {rate_name} is {ratio:.4g} times too {size}, by its scale, unit or place. Or {y_name} "
+        f"is as much too {opposite}, or the log's clock is {ratio:.4g} times too {clock}. Compare them with another "
+        f"sensor and clock; a scale of {factor.value:.4g} for the column of {rate_name} mends the first"
     )
     hints.factors[y_name] = Hint("integral-factor", text)
 

@@ -9,7 +9,6 @@ from dssc_jax.flight_logs.hints.conversions import rms
 from dssc_jax.flight_logs.hints.references import median_values
 from dssc_jax.flight_logs.hints.rounded_commands import (
     COARSE,
-    LEAST_LEVELS,
     LEAST_VALUES,
     NEAR,
     multiple_share,
@@ -18,24 +17,26 @@ from dssc_jax.flight_logs.hints.rounded_commands import (
 from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
+LEAST_LEVELS = 4  # values that occur: fewer are those of a switch
 MOSTLY = 0.99  # least share of the readings that are multiples of a step
 USUAL = 0.9  # share of the second differences that tell the noise; the largest ones may be the flight's
 QUIET = 1.2  # steps, root mean square of these second differences: about 0.5 by rounding alone, 1.7 by noise of a step
 AT_MOST = 1.5  # steps: a larger change is more than rounding
 
 
-def output_rounding(values: np.ndarray) -> float:
+def output_rounding(values: np.ndarray, coarse: float = COARSE) -> float:
     """The step to which readings of an output are rounded, if their noise is smaller than it; else 0.
 
     Args:
         values: The readings, NaN where missing, in the output's unit, shape (n,).
+        coarse: Share of the deviation of the readings: a finer rounding counts as none.
     """
     readings = values[np.isfinite(values)]
     if len(readings) < LEAST_VALUES:
         return 0.0
     levels = np.unique(readings)
     step = rounding_step(levels)
-    if len(levels) < LEAST_LEVELS or step <= COARSE * rms(readings - np.median(readings)):
+    if len(levels) < LEAST_LEVELS or step <= coarse * rms(readings - np.median(readings)):
         return 0.0
     if multiple_share(readings, step, float(levels[1])) < MOSTLY:
         return 0.0
@@ -53,15 +54,16 @@ def declared_resolution(study: Study, index: int) -> float:
     return 0.0 if step is None else float(step)
 
 
-def rounded_output_hint(study: Study, index: int, values: np.ndarray) -> Hint | None:
+def rounded_output_hint(study: Study, index: int, values: np.ndarray, coarse: float = COARSE) -> Hint | None:
     """That an output is rounded by more than the study's sensor does, with the remedy; None if it is not.
 
     Args:
         study: The study.
         index: Position of the output's channel.
         values: The readings, NaN where missing, in the output's unit, shape (n,).
+        coarse: As of :func:`output_rounding`.
     """
-    step = output_rounding(values)
+    step = output_rounding(values, coarse)
     if step <= (1.0 + NEAR) * declared_resolution(study, index):
         return None
     text = (

@@ -1,0 +1,333 @@
+"""Parts that a study lacks and that begin at a moment of the flight: a constant force, and a step of the gain.
+
+The output's slopes by the part's size are computed for some times, then for those around the best one, at the minimum
+without it. The time with the least sum of squares, if the prediction is linear, makes a part as those of
+:mod:`~dssc_jax.flight_logs.fit.missing_parts`, whose likelihood pays for all times and sudden parts. Steps of Gauss and
+Newton then refine the time between the samples, and tell its standard deviation.
+
+References:
+    D. W. K. Andrews, "Tests for parameter instability and structural change with unknown change point", Econometrica 61
+        (1993) 821-856.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.flight_logs.fit.flown_course import Flight
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.fit.missing_parts import Part, fading_sizes, force_sizes, is_any, is_moderate
+from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, PartPoint, PartProblem, fitted_part
+from dssc_jax.flight_logs.fit.shifts import linear_cost
+from dssc_jax.flight_logs.signal_warnings import WarningCode
+from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
+from dssc_jax.study import Study
+
+TIMES = 32  # that are compared at first
+ROUNDS = 4  # of fits, each with the time that is the likeliest by the fit before
+REFINEMENTS = 4  # of the best of these, between the samples
+SMALL = 0.1  # share of the time's deviation: a smaller step is the last one
+MARGIN_DEVIATIONS = 4.0  # of the time, and a sample: half the span in which it lies
+DIFFERENCE = 0.5  # samples, either side of a time: the step of the derivative by it
+LEAST_SAMPLES = 2 * TIMES
+MARGIN = 0.05  # share of the flight at either end without such a time
+SLOTS = ("disturbance.", "wind.")
+
+
+class SuddenPart(NamedTuple):
+    """A part that a study may lack, and that begins at a moment.
+
+    Args:
+        code: Code of its warning.
+        words: What it is, as of :class:`~dssc_jax.flight_logs.fit.missing_parts.Part`; the time follows.
+        remedy: What to do, with ``{lower}`` and ``{upper}``, between which the time lies [s].
+        commands: (Samples up to the moment, flight, size) -> commands that a plant with the part gets, shape (n,).
+        sizes: Flight -> first sizes.
+        is_possible: (Flight, size) -> whether the size means something on this flight.
+    """
+
+    code: WarningCode
+    words: str
+    remedy: str
+    commands: Callable[[float, Flight, float], np.ndarray]
+    sizes: Callable[[Flight], tuple[float, ...]]
+    is_possible: Callable[[Flight, float], bool]
+
+
+def share_after(begin: float, flight: Flight) -> np.ndarray:
+    """Share of each sample after a moment, which may lie within one; shape (n,).
+
+    Args:
+        begin: Samples from the first one to the moment.
+        flight: The flight.
+    """
+    return np.clip(np.arange(1, len(flight.commands) + 1) - begin, 0.0, 1.0)
+
+
+def pushed_from(begin: float, flight: Flight, size: float) -> np.ndarray:
+    """Commands beside a constant force of a size that begins at a moment, counted in samples."""
+    return flight.commands + size * share_after(begin, flight)
+
+
+def weakened_from(begin: float, flight: Flight, size: float) -> np.ndarray:
+    """Commands whose gain changes from 1 to 1 - size at a moment, counted in samples."""
+    return flight.commands * (1.0 - size * share_after(begin, flight))
+
+
+WIND_STEP = SuddenPart(
+    code="missing-force",
+    words="a constant force ({size:.3g} {command}, as of a wind) that begins at",
+    remedy='Give the study that force (disturbance, kind = "step") with laws of its value and of its time, such as '
+    "at = {{ uniform = [{lower:.6g}, {upper:.6g}] }}, or fit the part before or after",
+    commands=pushed_from,
+    sizes=force_sizes,
+    is_possible=is_any,
+)
+GAIN_STEP = SuddenPart(
+    code="changing-gain",
+    words="a gain of the command that {verb} by {percent:.3g} %, as where a blade breaks or a cell fails, at",
+    remedy="Fit the part that ends before {lower:.4g} s or the one that begins after {upper:.4g} s, or log the command "
+    "times the gain",
+    commands=weakened_from,
+    sizes=fading_sizes,
+    is_possible=is_moderate,
+)
+
+
+def lacking_sudden_parts(study: Study) -> list[SuddenPart]:
+    """The sudden parts that a study lacks; one with a disturbance or a wind that begins gets no second one."""
+    has_wind_step = any(number.quantity.begins for name, number in study.numbers.items() if name.startswith(SLOTS))
+    return [GAIN_STEP] if has_wind_step else [WIND_STEP, GAIN_STEP]
+
+
+def fitted_sudden_part(
+    problem: FitProblem, without: FitWithoutPart, flight: Flight, sudden: SuddenPart
+) -> PartFit | None:
+    """Fit a log with a part that begins at the likeliest time; None if it does not explain the residual.
+
+    The time is that under the noise of the fit without the part, or under white noise, then under that of the fit with
+    the part.
+
+    Args:
+        problem: The problem of one channel, with the noise of its minimum.
+        without: The fit without a part.
+        flight: The flight.
+        sudden: The part.
+    """
+    if len(flight.commands) < LEAST_SAMPLES:
+        return None
+    fits = []
+    for weighted in (problem, with_noise(problem, WHITE)):  # a step of the output is likely, too, if noise may drift
+        fit = fit_from(weighted, problem, without, flight, sudden)
+        if fit is not None:
+            fits.append(fit)
+    return max(fits, key=lambda fit: fit.gain, default=None)
+
+
+def fit_from(
+    weighted: FitProblem, problem: FitProblem, without: FitWithoutPart, flight: Flight, sudden: SuddenPart
+) -> PartFit | None:
+    """Fit a log with a part, from the time on that is the likeliest under a first noise; None as above.
+
+    Args:
+        weighted: The problem with the first noise.
+        problem: The problem with the noise of its minimum.
+        without: The fit without a part.
+        flight: The flight.
+        sudden: The part.
+    """
+    samples = len(flight.commands)
+    first = math.ceil(MARGIN * samples)
+    begins = np.unique(np.linspace(first, samples - 1 - first, TIMES).round().astype(int))
+    x = without.minimum.x
+    begin = likeliest_begin(weighted, x, flight, sudden, begins)
+    reach = math.ceil(samples / TIMES)
+    choices = (samples - 2 * first) * len(lacking_sudden_parts(problem.study))
+    best = None
+    best_begin = begin
+    for _ in range(ROUNDS):
+        around = np.arange(max(first, begin - reach), min(samples - 1 - first, begin + reach) + 1)
+        begin = likeliest_begin(weighted, x, flight, sudden, around)
+        fit = fitted_part(problem, without, flight, part_from(sudden, begin, choices))
+        if fit is None or (best is not None and fit.gain <= best.gain):
+            break
+        best = fit
+        best_begin = begin
+        weighted = with_noise(problem, fit.noise)
+        x = fit.x
+    return None if best is None else refined(problem, without, flight, sudden, best, best_begin)
+
+
+def refined(
+    problem: FitProblem, without: FitWithoutPart, flight: Flight, sudden: SuddenPart, fit: PartFit, begin: float
+) -> PartFit:
+    """The fit with a part whose time is refined between the samples; its words have the time and its deviation.
+
+    Args:
+        problem: The problem with the noise of its minimum.
+        without: The fit without a part.
+        flight: The flight.
+        sudden: The part.
+        fit: The fit with it from a sample on.
+        begin: That sample.
+    """
+    correction = begin_correction(problem, flight, sudden, fit, begin)
+    for _ in range(REFINEMENTS):
+        trial_begin = begin + float(np.clip(correction.step, -1.0, 1.0))
+        trial = fitted_part(problem, without, flight, part_from(sudden, trial_begin, fit.part.choices))
+        if trial is None or trial.gain <= fit.gain:
+            break
+        is_small = abs(trial_begin - begin) < SMALL * correction.deviation
+        fit, begin = trial, trial_begin
+        correction = begin_correction(problem, flight, sudden, fit, begin)
+        if is_small:
+            break
+    deviation = max(correction.deviation, spread_of_begin(problem, flight, sudden, fit, begin))
+    return fit._replace(part=told_part(fit.part, sudden, flight.sample_time, begin, deviation))
+
+
+class BeginCorrection(NamedTuple):
+    """The step of Gauss and Newton to a likelier time, and the standard deviation of that time, both in samples."""
+
+    step: float
+    deviation: float
+
+
+def begin_correction(
+    problem: FitProblem, flight: Flight, sudden: SuddenPart, fit: PartFit, begin: float
+) -> BeginCorrection:
+    """How far the time of a part is from the likeliest one, to first order; the numbers and the size are free.
+
+    Args:
+        problem: The problem.
+        flight: The flight.
+        sudden: The part.
+        fit: The fit with it.
+        begin: Samples from the first one to its beginning.
+    """
+    point = PartPoint(fit.x, fit.size, 1.0)
+    part_problem = PartProblem(problem, flight, fit.part)
+    sides = []
+    for move in (-DIFFERENCE, DIFFERENCE):
+        moved = PartProblem(problem, flight, part_from(sudden, begin + move, fit.part.choices))
+        sides.append(moved.residual_columns(point)[:, 0])
+    slope = (sides[0] - sides[1]) / (2.0 * DIFFERENCE)
+    columns = np.column_stack([part_problem.columns(point), slope])
+    products = part_problem.products(fit.noise, columns)
+    if not np.isfinite(products).all():
+        return BeginCorrection(0.0, math.inf)
+    products = products / max(linear_cost(products) / len(columns), TINY)
+    free = np.zeros(2)  # the size and the time have no law
+    gradient = products[1:, 0] - np.append(problem.prior * fit.x, free)
+    information = products[1:, 1:] + np.diag(np.append(problem.prior, free))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), TINY))
+    covariance = np.linalg.pinv(information * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
+    return BeginCorrection(float(covariance[-1] @ gradient), math.sqrt(max(float(covariance[-1, -1]), 0.0)))
+
+
+def with_noise(problem: FitProblem, noise: Noise) -> FitProblem:
+    """The problem of one channel with another noise."""
+    weighted = replace(problem)
+    weighted.noises = [noise]
+    weighted.variances = list(problem.variances)
+    return weighted
+
+
+def part_from(sudden: SuddenPart, begin: float, choices: int) -> Part:
+    """A part from a moment on, the likeliest of some samples.
+
+    Args:
+        sudden: The part.
+        begin: Samples from the first one to the moment.
+        choices: Number of samples and sudden parts that were compared.
+    """
+    return Part(
+        code=sudden.code,
+        words=sudden.words,
+        remedy=sudden.remedy,
+        actuator=None,
+        commands=partial(sudden.commands, begin),
+        sizes=sudden.sizes,
+        is_positive=False,
+        is_possible=sudden.is_possible,
+        choices=choices,
+    )
+
+
+def told_part(part: Part, sudden: SuddenPart, sample_time: float, begin: float, deviation: float) -> Part:
+    """A part from a moment on, with its time in words; the span of the remedy is wider than what is known.
+
+    Args:
+        part: The part.
+        sudden: The part without the moment.
+        sample_time: Time between two samples [s].
+        begin: Samples from the first one to the moment.
+        deviation: Standard deviation of ``begin``.
+    """
+    time = sample_time * begin
+    margin = sample_time * min(MARGIN_DEVIATIONS * deviation + 1.0, begin)
+    return part._replace(
+        words=f"{sudden.words} {time:.4g} ± {sample_time * deviation:.2g} s of the study",
+        remedy=sudden.remedy.format(lower=time - margin, upper=time + margin),
+    )
+
+
+def likeliest_begin(problem: FitProblem, x: np.ndarray, flight: Flight, sudden: SuddenPart, begins: np.ndarray) -> int:
+    """The sample from which on a part leaves the least sum of squares; arguments as of :func:`costs_by_begin`."""
+    return int(begins[int(np.argmin(costs_by_begin(problem, x, flight, sudden, begins)))])
+
+
+def costs_by_begin(
+    problem: FitProblem, x: np.ndarray, flight: Flight, sudden: SuddenPart, begins: np.ndarray
+) -> np.ndarray:
+    """The least weighted sums of squares with a part from some moments on, if the prediction is linear, shape (k,).
+
+    Args:
+        problem: The problem of one channel, with a noise.
+        x: Coordinates of the numbers, shape (p,).
+        flight: The flight.
+        sudden: The part.
+        begins: Samples from the first one to the moments, shape (k,).
+    """
+    (readings,) = problem.readings
+    (columns,) = problem.columns(x)
+    (size,) = sudden.sizes(flight)
+    slopes = []
+    for begin in begins.tolist():
+        (moved,) = problem.columns(x, sudden.commands(begin, flight, size)[None, :])
+        slopes.append((columns[:, 0] - moved[:, 0]) / size)
+    extended = np.column_stack([columns, *slopes])
+    if not np.isfinite(extended).all():
+        return np.zeros(len(begins))
+    products, _ = weighted_products(problem.noises[0], readings.times, extended)
+    count = columns.shape[1]
+    costs = []
+    for place in range(len(begins)):
+        chosen = np.append(np.arange(count), count + place)
+        costs.append(linear_cost(products[np.ix_(chosen, chosen)]))
+    return np.array(costs)
+
+
+def spread_of_begin(problem: FitProblem, flight: Flight, sudden: SuddenPart, fit: PartFit, begin: float) -> float:
+    """The standard deviation of a moment by its likelihood around the likeliest one, in samples.
+
+    A gain that changes while the command is small has no single likeliest moment, and the curvature there is none of
+    the likelihood as a whole.
+
+    Args:
+        problem: The problem of one channel.
+        flight: The flight.
+        sudden: The part.
+        fit: The fit with it.
+        begin: Samples from the first one to its beginning.
+    """
+    reach = 2.0 * len(flight.commands) / TIMES
+    begins = np.clip(begin + np.linspace(-reach, reach, 2 * TIMES + 1), 0.0, len(flight.commands) - 1.0)
+    costs = costs_by_begin(with_noise(problem, fit.noise), fit.x, flight, sudden, begins)
+    variance = max(float(costs.min()) / len(problem.readings[0].times), TINY)
+    likelihoods = np.exp(-0.5 * (costs - costs.min()) / variance)
+    return math.sqrt(float(likelihoods @ (begins - begin) ** 2 / likelihoods.sum()))
