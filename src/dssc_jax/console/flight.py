@@ -244,7 +244,10 @@ def show_rank(answer: LogAnswer, p_value: float) -> None:
         verdict = f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study{sample_text}"
         show_line(f"{verdict}{outside_text(answer)}")
     else:
-        show_line(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")
+        show_line(
+            f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study; `--fit` estimates its "
+            "numbers from the log, and looks for what else the residual may be"
+        )
     if answer.least_p_value > SIGNIFICANCE:
         show_line(f"p cannot be below {answer.least_p_value:.3g}: take more draws")
 
