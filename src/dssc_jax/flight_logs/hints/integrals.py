@@ -113,7 +113,7 @@ def integral_drift(y: Column, y_dot: Column, begin: float, end: float) -> float:
         return 0.0
     is_inside = (output.time >= slope.time[0]) & (output.time <= slope.time[-1])
     time, value = output.time[is_inside], output.value[is_inside]
-    deviation = float(np.std(value)) if len(time) >= LEAST_VALUES else 0.0
+    deviation = rms(value - np.median(value)) if len(time) >= LEAST_VALUES else 0.0
     if not 0.0 < deviation < np.inf:
         return 0.0
     integral = CubicSpline(slope.time, slope.value).antiderivative()(time)
