@@ -13,8 +13,8 @@ from dssc_jax.design.fast_records import record_warnings
 from dssc_jax.design.plant_checks import plant_warnings
 from dssc_jax.engine.integration import integration_error
 from dssc_jax.engine.unread_numbers import unread_numbers
-from dssc_jax.models.uav.plausibility import implausible
-from dssc_jax.models.uav.vehicle import Vehicle
+from dssc_jax.models.uav.parameters import UavParams
+from dssc_jax.models.uav.plausibility import implausible, unusual_power
 from dssc_jax.study import Described, Study
 from dssc_jax.study.actuators import kind_in
 
@@ -24,9 +24,10 @@ DRAG_NAMES = ("plant.vehicle.structure_drag", "plant.vehicle.propeller_drag")
 
 def warn_of_vehicle(study: Study) -> None:
     """Warn if a vehicle has no drag, so that wind has no effect, or numbers that multirotors usually do not have."""
-    vehicle = getattr(study.template.plant, "vehicle", None)
-    if not isinstance(vehicle, Vehicle):
+    plant = study.template.plant
+    if not isinstance(plant, UavParams):
         return
+    vehicle = plant.vehicle
     has_wind = kind_in(study.config, "wind") != "none"
     has_swept_drag = any(name.startswith(DRAG_NAMES) for name in study.axes)
     if has_wind and not vehicle.has_drag and not has_swept_drag:
@@ -35,9 +36,11 @@ def warn_of_vehicle(study: Study) -> None:
             "propeller_drag"
         )
     table = study.config.plant.get("vehicle")
-    if isinstance(table, dict):
-        for text in implausible(vehicle, table):
-            say(f"warning: {text}")
+    texts = implausible(vehicle, table) if isinstance(table, dict) else []
+    if plant.battery is not None:
+        texts += unusual_power(vehicle, plant.battery)
+    for text in texts:
+        say(f"warning: {text}")
 
 
 def warn_of_signals(study: Study) -> None:

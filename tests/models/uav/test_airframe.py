@@ -281,6 +281,30 @@ def test_tilted_rotors_push_more_than_they_lift():
     assert vehicle["thrust_coefficient"] == pytest.approx(hover / 500.0**2, rel=1e-12)
 
 
+def test_coefficients_are_nominal_where_the_file_and_the_caller_lack_the_rotors():
+    """Both are needed: the speed in hover, and the torque of the simulated rotors."""
+    text = with_properties(SIH_Q_MAX=0.114)
+    assert read_airframe(text).vehicle["rotor_coefficients"] == "nominal"
+    assert read_airframe(QUAD, mass=2.0, hover_speed=700.0).vehicle["rotor_coefficients"] == "nominal"
+    known = read_airframe(text, hover_speed=700.0)
+    assert "rotor_coefficients" not in known.vehicle
+    assert known.vehicle["thrust_coefficient"] == pytest.approx(0.72 * 9.81 / 4.0 / 700.0**2, rel=1e-12)
+    assert not any("nominal" in note for note in known.notes)
+    notes = " ".join(read_airframe(text).notes)
+    assert "rotor speeds and the power that a battery gives depend on them, so state hover_power" in notes
+
+
+def test_a_misspelt_mass_and_a_mixer_are_told():
+    with pytest.raises(ConfigError, match="does not set SIH_MASS, the mass, but SIH_MAS: correct the name; or give it"):
+        read_airframe(QUAD + "\nparam set SIH_MAS 1.5\nparam set SIH_T_MAX 9.0")
+    with pytest.raises(ConfigError, match=r"sets no parameter CA_\.\.; its rotors are in the mixer .* before 1\.14"):
+        read_airframe("sh /etc/init.d/rc.mc_defaults\nset MIXER quad_x\nparam set MC_ROLL_P 7.0")
+
+
+def test_the_largest_thrust_that_is_assumed_is_printed():
+    assert read_airframe(QUAD, mass=2.0).vehicle["max_thrust"] == pytest.approx(2.0 * 2.0 * 9.81 / 4.0, rel=1e-12)
+
+
 def test_what_is_stated_beside_the_file_is_told_and_what_is_absurd_refused():
     assert any("in place of SIH_MASS" in note for note in read_airframe(with_properties(), mass=2.5).notes)
     with pytest.raises(ConfigError, match=r"MPC_THR_HOVER: must be > 0 and <= 1, got 0"):

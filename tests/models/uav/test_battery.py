@@ -85,6 +85,30 @@ def test_with_an_empty_battery_the_vehicle_falls():
     np.testing.assert_allclose(fall, -9.81 * 0.01 * np.arange(100), rtol=0.02)  # and some drag
 
 
+@pytest.mark.parametrize("scale", [1.0, 0.3])
+def test_a_hover_power_is_taken_whatever_the_scale_of_the_coefficients(scale):
+    """A rotor's k_T and c_tau set the speeds alone: the battery gives 900 W in hover."""
+    table = study_of().table
+    hovering = BATTERY | {"hover_power": 900.0}
+    del hovering["efficiency"]
+    nominal = {"kind": "m600", "thrust_coefficient": scale * 2.8e-4, "rotor_coefficients": "nominal"}
+    study = dj.Study.from_table(table | {"plant": table["plant"] | {"vehicle": nominal, "battery": hovering}})
+    flight = dj.simulate(study)
+    charge = flight["battery_charge"].values
+    current = -3600.0 * np.gradient(charge, 0.01)
+    power = current * 25.2 * flight["rotor_voltage"].values
+    assert power[400:-1].mean() == pytest.approx(900.0, rel=0.01)
+
+
+def test_a_power_from_nominal_coefficients_is_refused():
+    """A vehicle of the package has its own, and its study is as before."""
+    nominal = {"plant.vehicle": {"kind": "m600", "rotor_coefficients": "nominal"}}
+    with pytest.raises(ConfigError, match=r"battery: needs hover_power in watts in place of efficiency"):
+        study_of().override(nominal)
+    with pytest.raises(ConfigError, match=r"battery: needs either efficiency, or hover_power in watts"):
+        study_of(hover_power=900.0)
+
+
 def test_what_a_battery_excludes():
     with pytest.raises(ConfigError, match=r"battery\.empty_voltage: must be below full_voltage = 25.2 V"):
         study_of(empty_voltage=26.0)

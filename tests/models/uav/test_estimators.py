@@ -14,7 +14,7 @@ from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.engine.batching import Engine, evaluate
 from dssc_jax.models.uav import UAV
 from dssc_jax.models.uav.estimators.complementary import ComplementaryFilter
-from dssc_jax.models.uav.estimators.kalman import KalmanFilter, KalmanMemory
+from dssc_jax.models.uav.estimators.kalman import KalmanFilter, KalmanMemory, normalised_square
 from dssc_jax.models.uav.estimators.sensors import (
     Aids,
     Increments,
@@ -63,7 +63,8 @@ class DenseFilter:
         pushed = np.array(increments.velocity) - self.ba * DT
         shifted = np.array(increments.position) - 0.5 * self.ba * DT**2
         f = np.eye(15)
-        f[0:3, 3:6] = DT * np.eye(3)
+        drift = np.eye(15)
+        drift[0:3, 3:6] = 0.5 * DT * np.eye(3)
         f[3:6, 6:9] = -skew(rotation @ pushed)
         f[3:6, 12:15] = f[6:9, 9:12] = -rotation * DT
         self.p = self.p + self.v * DT + rotation @ shifted - 0.5 * G * DT**2
@@ -71,7 +72,8 @@ class DenseFilter:
         self.r = self.r * Rotation.from_rotvec(np.array(increments.rotation) - self.bg * DT)
         s = self.sensors
         noise = np.repeat([0.0, s.accel_noise, s.gyro_noise, s.gyro_walk, s.accel_walk], 3)
-        self.cov = f @ self.cov @ f.T + np.diag(noise**2 * DT)
+        f = f @ drift
+        self.cov = drift @ (f @ self.cov @ f.T + np.diag(noise**2 * DT)) @ drift.T
         rows, differences, stds = [], [], []
         if aids.has_position:
             h = np.zeros((3, 15))
@@ -120,6 +122,7 @@ def test_filter_is_the_dense_one():
     dense = DenseFilter(
         sensors, np.array(memory.estimate.position), np.array(memory.estimate.velocity), Rotation(rotation), stds
     )
+    worst = 0.0
     for k in range(12):
         turn, push = 0.02 * rng.normal(size=3), start.inv().apply(G * DT) + 0.05 * rng.normal(size=3)
         increments = Increments(Vec3(*turn), Vec3(*push), Vec3(*(0.5 * DT * push)), zero)
@@ -198,6 +201,42 @@ def test_covariance_is_consistent():
         mean = float(result[name].mean())
         print(f"\nNEES at {t:g} s: {mean:.2f}, band {low:.2f} to {high:.2f}")
         assert low < mean < high
+
+
+def test_covariance_is_consistent_after_an_exact_start():
+    """Of 200 flights: with 6 degrees of freedom at the first sample, where the velocity follows from the position."""
+    freedoms = {1: 6, 2: 9, 3: 9, 5: 9}
+    bounds = []
+    for k in freedoms:
+        around = {"after": (k - 0.5) * DT, "until": (k + 0.5) * DT}
+        bounds.append({"signal": "nees", "metric": "max_abs", **around, "max": 1e9})
+    study = study_of({"kind": "kalman", "sensors": NOISY}, draws=200, requirement=bounds)
+    result = evaluate(Engine(study, 200), {}, np.arange(200))
+    for k, degrees in freedoms.items():
+        (name,) = (name for name in result if name.startswith(f"max_abs_nees_after_{(k - 0.5) * DT:g}_"))
+        mean = float(result[name].mean())
+        low, high = chi2.ppf([0.025, 0.975], degrees * 200) / 200
+        print(f"\nNEES at sample {k}: {mean:.2f}, band {low:.2f} to {high:.2f}")
+        assert low < mean < high
+
+
+def test_nees_of_a_singular_covariance_is_that_of_its_pseudo_inverse():
+    """Rank 6, at scales from 1e-6 to 1, for an error that the covariance admits."""
+    rng = np.random.default_rng(5)
+    factor = np.logspace(-6.0, 0.0, 9)[:, None] * rng.normal(size=(9, 6))
+    weights = rng.normal(size=6)
+    covariance = tuple(tuple(row[: i + 1]) for i, row in enumerate(factor @ factor.T))
+    found = float(normalised_square(covariance, tuple(factor @ weights)))
+    assert abs(found / weights.dot(weights) - 1.0) < 1e-6
+
+
+def test_nees_has_no_peak_after_an_exact_start():
+    """The covariance is singular for a sample, and has rank 3 where the bias of the accelerometers is all error."""
+    for sensors in (NOISY, {"accel_bias": 0.05, "position": 0.3, "heading": 0.05}):
+        flight = dj.simulate(study_of({"kind": "kalman", "sensors": sensors}), draw=0)
+        values = flight["nees"].values
+        assert values[0] == 0.0
+        assert 0.0 < values[1:].max() < chi2.ppf(1.0 - 1e-6, 9)
 
 
 def test_complementary_filter_finds_tilt_heading_and_bias():

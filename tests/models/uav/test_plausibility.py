@@ -4,7 +4,8 @@ import pytest
 
 from dssc_jax.cli.main import guarded
 from dssc_jax.cli.warnings import warn_of_vehicle
-from dssc_jax.models.uav.plausibility import implausible, usual_ranges
+from dssc_jax.models.uav.battery import Battery
+from dssc_jax.models.uav.plausibility import implausible, unusual_power, usual_ranges
 from dssc_jax.models.uav.vehicle import HEXACOPTER, QUADROTOR
 from dssc_jax.study import Study
 from tests.mutations import document
@@ -47,6 +48,15 @@ def test_a_racer_is_plausible_and_the_article_s_torque_coefficient_is_not():
 def test_a_slip_is_named(changes, said):
     (text,) = implausible(RACER._replace(**changes), set(changes))
     assert text.startswith(said)
+
+
+def test_a_battery_s_power_in_hover_is_compared_with_the_mass():
+    """701 W for 2 kg, as 500 rad/s and 0.05 m give, where 250 to 300 W are usual."""
+    battery = Battery(300.0, 0.02, 16.8, 13.2, efficiency=0.7)
+    vehicle = RACER._replace(mass=2.0, torque_coefficient=0.05, thrust_coefficient=1.962e-5)
+    (text,) = unusual_power(vehicle, battery)
+    assert text.startswith("the battery's power in hover is 701 W, 350 W/kg, usual are 50 to 300 W/kg")
+    assert unusual_power(vehicle, battery._replace(efficiency=None, hover_power=280.0)) == []
 
 
 def test_ranges_are_ranges():

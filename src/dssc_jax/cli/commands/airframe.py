@@ -20,7 +20,9 @@ def run(options: Airframe) -> int:
             content = logged_parameters(options.file)
         else:
             content = files.read_text(options.file, errors="replace")
-        vehicle, notes, entries, warnings = read_airframe(content, options.mass, options.arm, options.cascade)
+        vehicle, notes, entries, warnings = read_airframe(
+            content, options.mass, options.arm, options.cascade, options.hover_speed
+        )
     for warning in warnings:
         say(f"warning: {warning}")
     plant = {"kind": "uav", **entries}

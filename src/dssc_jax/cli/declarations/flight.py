@@ -31,6 +31,12 @@ class Airframe:
     cascade: Annotated[
         bool, typer.Option("--cascade", help="PX4's cascade as inner loop, with the file's gains, for the article's.")
     ] = False
+    hover_speed: Annotated[
+        float | None,
+        typer.Option(
+            "--hover-speed", metavar="RAD/S", min=1.0, help="Mean rotor speed in hover [rad/s], of which PX4 has none."
+        ),
+    ] = None
     as_json: Json = False
 
 

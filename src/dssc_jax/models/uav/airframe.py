@@ -8,15 +8,20 @@ Sources: PX4's parameter reference (control allocation; simulation in hardware; 
 control), its module simulator_sih and its class ActuatorEffectivenessRotors.
 """
 
-import math
 import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
+from dssc_jax.models.uav.airframe_properties import (
+    drop_torque_of_single_rotors,
+    properties_of,
+    require_sizes,
+    with_simulation_defaults,
+    with_stated_sizes,
+)
 from dssc_jax.models.uav.airframe_rotors import (
-    PlacedRotor,
     are_ratios,
     flying_vehicle,
     geometry_of,
@@ -26,40 +31,26 @@ from dssc_jax.models.uav.airframe_rotors import (
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loops.px4_parameters import GAIN_PARAMETERS, gains_from
 from dssc_jax.models.uav.plausibility import implausible
-from dssc_jax.models.uav.vehicle import GRAVITY
 
 LINE = re.compile(
     r"[ \t]*(?:param[ \t]+(?:set|set-default)[ \t]+(?P<set>\w+)[ \t]*(?P<to>[^\s#]*)"  # an airframe's start-up script
     r"|\d+\s+\d+\s+(?P<name>\w+)\s+(?P<value>\S+)\s+\d+\s*$)",  # a ground station's file: vehicle, component, .., type
 )
 """A line that sets a parameter."""
+MIXER = re.compile(r"^[ \t]*set[ \t]+MIXER\b", re.MULTILINE)
+"""A line by which a start-up script of earlier versions of PX4 names the file of its mixer."""
+MIXER_REMEDY = (
+    "its rotors are in the mixer that it sets, a file of its own, as in PX4 before 1.14: take the airframe of a later "
+    "version, or add CA_ROTOR_COUNT and of each rotor CA_ROTORi_PX, _PY and _KM"
+)
+FILE_REMEDY = "a PX4 airframe or parameter file is needed"
+"""What to do about a file without rotors."""
 GAIN = re.compile(r"M(?:P?)C_\w+_(?:P|I|D|FF|K)(?:_ACC)?")
 """Names of PX4's gains."""
 PREFIXES = ("CA_", "SIH_", "MC_", "MPC_", "IMU_GYRO_", "IMU_DGYRO_", "THR_MDL_FAC")
 """Beginnings of the names of the parameters that are read."""
 LARGEST_PARAMETER = 1e6
 """Largest size of a parameter in PX4's units; no length, mass, thrust or inertia of a multirotor is larger."""
-INERTIA = ("SIH_IXX", "SIH_IYY", "SIH_IZZ")
-"""The moments of inertia."""
-PRODUCTS = ("SIH_IXY", "SIH_IXZ", "SIH_IYZ")
-"""The products of inertia."""
-SIH_DEFAULTS: dict[str, float] = {
-    "SIH_MASS": 1.0,
-    "SIH_IXX": 0.025,
-    "SIH_IYY": 0.025,
-    "SIH_IZZ": 0.030,
-    "SIH_T_MAX": 5.0,
-    "SIH_Q_MAX": 0.1,
-    "SIH_T_TAU": 0.05,
-    "SIH_L_ROLL": 0.2,
-    "SIH_L_PITCH": 0.2,
-    "SIH_KDV": 1.0,
-}
-"""PX4's defaults in a file for the simulation in hardware, which is one that sets SIH_VEHICLE_TYPE."""
-GYRATION = (0.45, 0.45, 0.6)
-"""Radii of gyration over the arm: means of the package's vehicles with sources, which differ by a third."""
-HOVER_SPEED = 500.0
-"""Assumed rotor speed in hover [rad/s]. It only sets a scale, because PX4's parameters contain no rotor speed."""
 AIRMODES = (Desaturation.AIRMODE_DISABLED, Desaturation.AIRMODE_ROLL_PITCH, Desaturation.AIRMODE_ROLL_PITCH_YAW)
 """The modes of MC_AIRMODE, from 0."""
 ARTICLE_PARAMETERS = ("MC_AIRMODE", "MC_ROLL_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_I_ACC", "MPC_THR_HOVER")
@@ -158,115 +149,6 @@ def missing_coordinates(parameters: Mapping[str, float]) -> list[str]:
     return [f"taken as 0, PX4's default, though other rotors have them: {', '.join(missing)}"]
 
 
-def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> None:
-    """Require a mass, and arm lengths if the rotors' positions are ratios.
-
-    Raises:
-        ConfigError: The mass is not positive, or sizes are missing; the message names all that are missing.
-    """
-    if not parameters.get("SIH_MASS", 1.0) > 0.0:
-        raise ConfigError("SIH_MASS", f"must be > 0, got {parameters['SIH_MASS']:g} kg")
-    missing = []
-    if "SIH_MASS" not in parameters:
-        missing.append("the file does not set SIH_MASS, the mass; give it with --mass KG")
-    if are_ratios(rotors) and not ("SIH_L_ROLL" in parameters and "SIH_L_PITCH" in parameters):
-        missing.append("positions are ratios of a generic airframe, not metres; give what they are ratios of, --arm M")
-    if missing:
-        raise ConfigError("SIH_MASS" if "SIH_MASS" not in parameters else "CA_ROTORi_PX, _PY", "; ".join(missing))
-
-
-def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) -> list[float]:
-    """Return the file's moments of inertia [kg m^2], or estimate them from mass and arm [m], with a note."""
-    if all(name in parameters for name in INERTIA):
-        return [parameters[name] for name in INERTIA]
-    notes.append("body_inertia is estimated from mass and arm, within a third: the file does not set SIH_IXX, ..")
-    return [parameters["SIH_MASS"] * (radius * arm) ** 2 for radius in GYRATION]
-
-
-def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str]) -> TomlTable:
-    """Entries of the vehicle for a rotor's largest thrust, and for the torque that belongs to it; empty if unknown.
-
-    Args:
-        parameters: The file's parameters.
-        lift: Thrust of each rotor in hover [N].
-        notes: The list to which a note is added.
-
-    Raises:
-        ConfigError: MPC_THR_HOVER is not in (0, 1].
-    """
-    if "SIH_T_MAX" in parameters:
-        entries: TomlTable = {"max_thrust": parameters["SIH_T_MAX"]}
-        if "SIH_Q_MAX" in parameters:  # of the simulated plant; CA_ROTORi_KM is the allocation's assumption
-            entries["torque_coefficient"] = parameters["SIH_Q_MAX"] / parameters["SIH_T_MAX"]
-        return entries
-    if "MPC_THR_HOVER" not in parameters:
-        notes.append("max_thrust is twice that of hover: the file sets neither SIH_T_MAX nor MPC_THR_HOVER")
-        return {}
-    hover_command = parameters["MPC_THR_HOVER"]
-    if not 0.0 < hover_command <= 1.0:
-        raise ConfigError("MPC_THR_HOVER", f"must be > 0 and <= 1, got {hover_command:g}")
-    notes.append("max_thrust follows from MPC_THR_HOVER, with thrust linear in the command; the file sets no SIH_T_MAX")
-    return {"max_thrust": lift / hover_command}
-
-
-def rotors_of(geometry: TomlTable) -> int:
-    """Count the rotors that entries of the vehicle place: in a list, or on a circle."""
-    return len(geometry.get("rotor") or geometry["spins"])
-
-
-def hover_thrust(mass: float, geometry: TomlTable) -> float:
-    """Compute the thrust of each rotor in hover [N], for a mass [kg]; tilted rotors push more than they lift."""
-    upward = 0.0  # sum of the axes' vertical parts; only tilted rotors have entries of their axes
-    for entry in geometry.get("rotor", []):
-        if "axis" in entry:
-            upward += entry["axis"][2] / math.hypot(*entry["axis"])
-    return mass * GRAVITY / (upward if upward > 0.0 else rotors_of(geometry))
-
-
-def drag_entries(parameters: Mapping[str, float], rotors: int, notes: list[str]) -> TomlTable:
-    """Make the vehicle's entries for the drag: SIH_KDV v, as the propellers of ``rotors`` rotors have it in hover."""
-    if "SIH_KDV" in parameters:
-        notes.append("drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out")
-    else:
-        notes.append("drag is 0, so that a wind has no effect: the file does not set SIH_KDV; structure_drag gives it")
-    propeller_drag = parameters.get("SIH_KDV", 0.0) / (rotors * HOVER_SPEED)
-    return {"structure_drag": [0.0, 0.0, 0.0], "propeller_drag": propeller_drag}
-
-
-def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: list[str]) -> TomlTable:
-    """Make the entries of the vehicle for mass, inertia, thrust, drag and lag; every estimate adds a note.
-
-    The file's inertia is the whole vehicle's, so the rotors' inertia is zero. PX4's lag delays the thrust; near hover,
-    where the thrust is linear in the rotor speed, the speed has the same lag. SIH_KDV v is the propellers' drag at
-    their speed in hover.
-
-    Args:
-        parameters: The file's parameters.
-        geometry: Entries of the vehicle that place its rotors.
-        notes: The list to which notes are added.
-
-    Raises:
-        ConfigError: MPC_THR_HOVER is not in (0, 1].
-    """
-    mass = parameters["SIH_MASS"]
-    lift = hover_thrust(mass, geometry)
-    properties: TomlTable = {"mass": mass, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
-    properties["body_inertia"] = body_inertia(parameters, geometry["arm"], notes)
-    properties["thrust_coefficient"] = lift / HOVER_SPEED**2
-    notes.append(
-        f"thrust_coefficient only sets the scale of rotor speeds, {HOVER_SPEED:g} rad/s in hover: PX4 has none"
-    )
-    properties |= drag_entries(parameters, rotors_of(geometry), notes)
-    properties |= thrust_entries(parameters, lift, notes)
-    if "SIH_T_TAU" in parameters:
-        properties["motor_lag"] = parameters["SIH_T_TAU"]
-    else:
-        notes.append("motor_lag is left out, so that rotors follow at once: the file does not set SIH_T_TAU")
-    if any(parameters.get(name, 0.0) for name in PRODUCTS):
-        notes.append(f"{', '.join(PRODUCTS)} are left out: the model's axes are principal axes")
-    return properties
-
-
 def cascade_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTable:
     """Make the table ``[plant.inner_loop]`` of PX4's cascade with the file's gains; notes say what it leaves out."""
     gains = gains_from(parameters)
@@ -321,41 +203,12 @@ def control_entries(parameters: Mapping[str, float], notes: list[str], use_px4_c
     return control | {"inner_loop": gains} if gains else control
 
 
-def with_simulation_defaults(parameters: dict[str, float], notes: list[str]) -> dict[str, float]:
-    """Add PX4's defaults of the simulation in hardware, with a note, if the file is one for it."""
-    if "SIH_VEHICLE_TYPE" not in parameters:
-        return parameters
-    unset = [name for name in SIH_DEFAULTS if name not in parameters]
-    if unset:
-        notes.append(f"{', '.join(unset)} are PX4's defaults of the simulation in hardware")
-    return SIH_DEFAULTS | parameters
-
-
-def with_stated_sizes(
-    parameters: dict[str, float], mass: float | None, arm: float | None, notes: list[str]
-) -> dict[str, float]:
-    """Replace the file's mass [kg] and arm [m] by the stated ones; None: it is not stated."""
-    stated_values = {}
-    if mass is not None:
-        stated_values["SIH_MASS"] = mass
-        if parameters.get("SIH_MASS", mass) != mass:
-            notes.append(f"the mass is the stated one, {mass:g} kg, in place of SIH_MASS = {parameters['SIH_MASS']:g}")
-    if arm is not None:
-        stated_values |= {"SIH_L_ROLL": arm, "SIH_L_PITCH": arm}
-    return parameters | stated_values
-
-
-def drop_torque_of_single_rotors(vehicle: TomlTable) -> None:
-    """Remove the torque coefficient of each listed rotor, where the simulated plant's coefficient holds for all."""
-    for entry in vehicle.get("rotor", []):
-        entry.pop("torque_coefficient")
-
-
 def read_airframe(
     text_or_parameters: str | Mapping[str, float],
     mass: float | None = None,
     arm: float | None = None,
     use_px4_cascade: bool = False,
+    hover_speed: float | None = None,
 ) -> Airframe:
     """Convert PX4 parameters to the study's vehicle tables, with notes on what the parameters do not specify.
 
@@ -367,6 +220,8 @@ def read_airframe(
         arm: Length of an arm [m], for positions that are ratios. None: the positions of PX4's generic airframes are
             ratios of SIH_L_PITCH and SIH_L_ROLL in the file, and other positions are in metres.
         use_px4_cascade: Whether the inner loop is PX4's cascade with the file's gains, and not the article's.
+        hover_speed: Mean speed of the rotors in hover [rad/s], which no parameter of PX4 gives. None: it is not known,
+            and the vehicle's coefficients are nominal.
 
     Raises:
         ConfigError: The file gives no mass, or describes something that the model cannot represent.
@@ -374,7 +229,8 @@ def read_airframe(
     parameters = parameters_in(text_or_parameters) if isinstance(text_or_parameters, str) else dict(text_or_parameters)
     require_finite(parameters)
     if not any(name.startswith("CA_") for name in parameters):
-        raise ConfigError("", "sets no parameter CA_..; a PX4 airframe or parameter file is needed")
+        is_mixer_file = isinstance(text_or_parameters, str) and MIXER.search(text_or_parameters) is not None
+        raise ConfigError("", f"sets no parameter CA_..; {MIXER_REMEDY if is_mixer_file else FILE_REMEDY}")
     notes: list[str] = []
     parameters = with_simulation_defaults(parameters, notes)
     parameters = with_stated_sizes(parameters, mass, arm, notes)
@@ -384,7 +240,7 @@ def read_airframe(
         rotors = in_metres(rotors, parameters)
         notes.append("positions are ratios, and became metres by the stated length, or SIH_L_PITCH and SIH_L_ROLL")
     geometry = geometry_of(rotors)
-    vehicle: TomlTable = {"kind": "m600_quadrotor"} | geometry | properties_of(parameters, geometry, notes)
+    vehicle: TomlTable = {"kind": "m600_quadrotor"} | geometry | properties_of(parameters, geometry, hover_speed, notes)
     if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
         drop_torque_of_single_rotors(vehicle)
     warnings = implausible(flying_vehicle(vehicle, parameters), vehicle)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.uav.allocation import flying_allocation
-from dssc_jax.models.uav.vehicle import QUADROTOR, ROUNDED_TO_ZERO, Rotor, Vehicle
+from dssc_jax.models.uav.vehicle import QUADROTOR, ROUNDED_TO_ZERO, Rotor, RotorCoefficients, Vehicle
 
 SIMILAR = 0.01
 """Largest relative deviation from the mean at which rotors count as equal."""
@@ -164,7 +164,8 @@ def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle
     values = {name: value for name, value in table.items() if name in Vehicle._fields and name != "rotor"}
     common = {"torque_coefficient": table["torque_coefficient"]}  # of rotors that state none
     rotors = tuple(Rotor(**(common | entry)) for entry in table.get("rotor", ()))
-    vehicle = QUADROTOR._replace(**values, rotor=rotors)
+    coefficients = RotorCoefficients(table.get("rotor_coefficients", RotorCoefficients.ACTUAL))
+    vehicle = QUADROTOR._replace(**(values | {"rotor": rotors, "rotor_coefficients": coefficients}))
     try:
         flying_allocation(vehicle)
     except ConfigError as error:

@@ -4,6 +4,9 @@ At the share s of its charge Q the battery at rest has the voltage V_0 = V_e + (
 the current I. The speeds w_i that are commanded are those at the full voltage V_f; the rotors turn at r w_i, r = V/V_f.
 They take the power V I = r^3 P, P = sum of c_tau,i k_T,i w_i^3/eta. Therefore R P r^2/V_f + V_f r - V_0 = 0, and
 s' = -I/Q. A battery without charge gives no voltage and no current.
+
+A hover power P_h in place of eta gives P = P_h times that sum over the sum in hover. Then P depends on thrusts alone:
+a common factor of all k_T or of all c_tau cancels.
 """
 
 from collections.abc import Sequence
@@ -14,7 +17,7 @@ import jax.numpy as jnp
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Scalar
-from dssc_jax.models.uav.vehicle import Vehicle
+from dssc_jax.models.uav.vehicle import RotorCoefficients, Vehicle
 
 
 class Battery(NamedTuple):
@@ -24,8 +27,13 @@ class Battery(NamedTuple):
     resistance: Annotated[Scalar, Quantity("ohm", "internal resistance R, with cables", at_least=0.0)]
     full_voltage: Annotated[Scalar, Quantity("V", "voltage V_f at rest when full", above=0.0)]
     empty_voltage: Annotated[Scalar, Quantity("V", "voltage V_e at rest when empty", above=0.0)]
-    efficiency: Annotated[Scalar, Quantity("1", "efficiency eta of motors and controllers", above=0.0, at_most=1.0)]
+    efficiency: Annotated[
+        Scalar | None, Quantity("1", "efficiency eta of motors and controllers", above=0.0, at_most=1.0)
+    ] = None
     charge: Annotated[Scalar, Quantity("1", "charge at the start, relative to Q", above=0.0, at_most=1.0)] = 1.0
+    hover_power: Annotated[
+        Scalar | None, Quantity("W", "power P_h in hover with the believed mass, in place of efficiency", above=0.0)
+    ] = None
 
 
 class Supply(NamedTuple):
@@ -35,28 +43,40 @@ class Supply(NamedTuple):
     current: Scalar
 
 
-def require_voltages(battery: Battery) -> Battery:
-    """The battery itself, whose empty voltage must be below the full one; raises ConfigError."""
+def checked_battery(battery: Battery, vehicle: Vehicle) -> Battery:
+    """The battery itself, whose voltages must be in order and whose power must be known.
+
+    Raises:
+        ConfigError: The empty voltage is not below the full one, not exactly one of ``efficiency`` and ``hover_power``
+            is given, or the efficiency stands beside nominal coefficients of the rotors.
+    """
     _, empty = extent(battery.empty_voltage)  # the highest value of its law
     full, _ = extent(battery.full_voltage)  # and the lowest
     if not empty < full:
         raise ConfigError("battery.empty_voltage", f"must be below full_voltage = {full:g} V, got up to {empty:g} V")
+    if (battery.efficiency is None) == (battery.hover_power is None):
+        raise ConfigError("battery", "needs either efficiency, or hover_power in watts")
+    if battery.hover_power is None and vehicle.rotor_coefficients is RotorCoefficients.NOMINAL:
+        rule = "needs hover_power in watts in place of efficiency: vehicle.rotor_coefficients is 'nominal', so that"
+        remedy = "with the rotors' own thrust_coefficient and torque_coefficient, set 'actual'"
+        raise ConfigError("battery", f"{rule} the rotors' power is not known; {remedy}")
     return battery
 
 
-def power_at_full_voltage(vehicle: Vehicle, efficiency: Scalar, speeds: Sequence[Scalar]) -> Scalar:
-    """Electrical power P = sum c_tau k_T |thetadot_i|^3/efficiency of the rotors at full voltage [W].
+def rotor_power(
+    torque_coefficients: Sequence[Scalar], thrust_coefficients: Sequence[Scalar], speeds: Sequence[Scalar]
+) -> Scalar:
+    """Mechanical power sum c_tau k_T |thetadot_i|^3 of the rotors [W].
 
     Args:
-        vehicle: The coefficients of the rotors.
-        efficiency: Efficiency of motors and controllers.
-        speeds: Speed of each rotor at full voltage [rad/s].
+        torque_coefficients: c_tau of each rotor [m].
+        thrust_coefficients: k_T of each rotor [N s^2/rad^2].
+        speeds: Speed of each rotor [rad/s].
     """
-    rotors = zip(vehicle.torque_coefficients, vehicle.thrust_coefficients, speeds, strict=True)
     power: Scalar = 0.0
-    for c_tau, k_t, speed in rotors:
+    for c_tau, k_t, speed in zip(torque_coefficients, thrust_coefficients, speeds, strict=True):
         power = power + jnp.abs(c_tau) * k_t * jnp.abs(speed) ** 3
-    return power / efficiency
+    return power
 
 
 def supply(battery: Battery, charge: Scalar, power: Scalar) -> Supply:

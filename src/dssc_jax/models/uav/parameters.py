@@ -1,14 +1,16 @@
 """Parameters of the complete UAV, and what follows from their nominal values before tracing."""
 
+from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.quantities import Quantity, extent, nominal
 from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.allocation import flying_allocation, geometry
-from dssc_jax.models.uav.battery import Battery, require_voltages
+from dssc_jax.models.uav.battery import Battery, checked_battery, rotor_power
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.estimators import ESTIMATORS, Estimator, NoEstimator
 from dssc_jax.models.uav.ground import Ground, lift_factor, prepared_ground
@@ -104,6 +106,25 @@ class UavParams(NamedTuple):
             return (weight / self.vehicle.rotors,) * self.vehicle.rotors
         return tuple(share * weight for share in self.hover_shares)
 
+    def power_at_full_voltage(self, speeds: Sequence[Scalar]) -> Scalar:
+        """Electrical power P of the rotors at the battery's full voltage [W], for a vehicle with a battery.
+
+        Args:
+            speeds: Speed of each rotor at full voltage [rad/s].
+        """
+        battery = self.battery
+        assert battery is not None
+        torques = self.vehicle.torque_coefficients
+        power = rotor_power(torques, self.vehicle.thrust_coefficients, speeds)
+        if battery.efficiency is not None:
+            return power / battery.efficiency
+        assert battery.hover_power is not None
+        coefficients = self.believed_coefficients
+        hover_speeds = []
+        for thrust, coefficient in zip(self.hover_thrusts, coefficients, strict=True):
+            hover_speeds.append(root_abs(thrust / coefficient))
+        return power * (battery.hover_power / rotor_power(torques, coefficients, hover_speeds))
+
     @property
     def carrying_thrust(self) -> Scalar:
         """The wanted net thrust at which the draw hovers at its place, complete after :func:`prepare` [N].
@@ -162,7 +183,7 @@ def prepare(params: UavParams) -> UavParams:
         require_known_equilibrium(params)
     return params._replace(
         ground=None if params.ground is None else prepared_ground(params.ground, vehicle.mass),
-        battery=None if params.battery is None else require_voltages(params.battery),
+        battery=None if params.battery is None else checked_battery(params.battery, vehicle),
         believed=believed,
         allocation=allocation,
         hover_shares=hover_shares(vehicle, allocation),

@@ -19,7 +19,7 @@ from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.allocation import Thrusts, allocate
-from dssc_jax.models.uav.battery import Supply, power_at_full_voltage, supply
+from dssc_jax.models.uav.battery import Supply, supply
 from dssc_jax.models.uav.condition import conditioned_motion, scaled_motion, voltage_of, wind_at
 from dssc_jax.models.uav.estimators.sensors import rotation_vector
 from dssc_jax.models.uav.ground import contact, has_crashed, lowest_foot, rotor_thrusts
@@ -174,7 +174,7 @@ def driven_rotors(params: UavParams, state: UavState, drive: PlantInput, command
     actual = conditioned_motion(commanded, drive.condition)
     if params.battery is None:
         return DrivenRotors(commanded, actual, Supply(voltage=1.0, current=0.0))
-    power = power_at_full_voltage(params.vehicle, params.battery.efficiency, actual.speeds)
+    power = params.power_at_full_voltage(actual.speeds)
     battery_supply = supply(params.battery, state.charge, power)
     factors = (battery_supply.voltage,) * len(actual.speeds)
     return DrivenRotors(commanded, scaled_motion(actual, factors), battery_supply)

@@ -9,12 +9,16 @@ import numpy as np
 from dssc_jax.core.quantities import nominal
 from dssc_jax.models.uav.allocation import pseudo_inverse
 from dssc_jax.models.uav.authority import largest_accelerations
+from dssc_jax.models.uav.battery import Battery, rotor_power
 from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
 
 GEOMETRY = ("rotor", "rotor_angles", "spins", "torque_coefficient", "arm")
 """Fields of a vehicle that determine its control authority."""
 LEAST_ACCELERATIONS = {"roll": 2.0, "pitch": 2.0, "yaw": 0.3}
 """Largest angular accelerations in hover [rad/s^2] of the slowest large multirotors; assumed."""
+
+USUAL_POWER = (50.0, 300.0)
+"""Electrical power of multirotors in hover over their mass [W/kg]; assumed."""
 
 
 class UsualRange(NamedTuple):
@@ -74,6 +78,33 @@ def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
         name = f"largest {axis} acceleration in hover"
         ranges.append(UsualRange(name, GEOMETRY, accelerations[axis], least, math.inf, "rad/s^2"))
     return ranges
+
+
+def unusual_power(vehicle: Vehicle, battery: Battery) -> list[str]:
+    """The warning of a battery's power in hover that is unusual for the mass; an empty list without one.
+
+    Hover is that of rotors with equal thrusts, and laws count with their medians.
+
+    Args:
+        vehicle: The vehicle.
+        battery: Its battery, with an efficiency or a hover power.
+    """
+    mass = nominal(vehicle.mass)
+    if battery.efficiency is None:
+        power = nominal(battery.hover_power)
+        cause = "hover_power"
+    else:
+        torques = [nominal(value) for value in vehicle.torque_coefficients]
+        coefficients = [nominal(value) for value in vehicle.thrust_coefficients]
+        thrust = mass * GRAVITY / vehicle.rotors
+        speeds = [math.sqrt(thrust / coefficient) for coefficient in coefficients]
+        power = float(rotor_power(torques, coefficients, speeds)) / nominal(battery.efficiency)
+        cause = "efficiency, and plant.vehicle.thrust_coefficient and torque_coefficient"
+    low, high = USUAL_POWER
+    if low <= power / mass <= high:
+        return []
+    value = f"the battery's power in hover is {power:.3g} W, {power / mass:.3g} W/kg"
+    return [f"{value}, usual are {low:g} to {high:g} W/kg; see plant.battery.{cause}"]
 
 
 def distance_of_rotors(vehicle: Vehicle) -> float:

@@ -1,8 +1,10 @@
 """Vehicle parameters: the article's quadrotor and the hexacopter of its field test (Section V-B, Appendix A)."""
 
 import math
+from enum import StrEnum
 from typing import Annotated, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from dssc_jax.core.errors import ConfigError
@@ -18,6 +20,17 @@ ROUNDED_TO_ZERO = 1e-15
 UP = (0.0, 0.0, 1.0)
 SHORTEST_AXIS = 1e-3
 """Smallest size of an axis' largest component."""
+
+
+@jax.tree_util.register_static
+class RotorCoefficients(StrEnum):
+    """Whether a vehicle's thrust and torque coefficients are those of its rotors.
+
+    Nominal ones give the vehicle's thrusts, but not the speeds of its rotors or the power that they take.
+    """
+
+    ACTUAL = "actual"
+    NOMINAL = "nominal"
 
 
 class Rotor(NamedTuple):
@@ -49,7 +62,8 @@ class Vehicle(NamedTuple):
 
     Rotor i = 1..n_r sits at ``rotor_angles[i]`` counter-clockwise from body x, at the distance ``arm``; ``spins`` s_i =
     -sgn(thetadot_i) is the sign of its drag torque about body z. If ``rotor`` is not empty, it gives the places and
-    signs, and ``arm``, ``rotor_angles`` and ``spins`` have no effect.
+    signs, and ``arm``, ``rotor_angles`` and ``spins`` have no effect. ``rotor_coefficients`` tells whether thrust and
+    torque coefficients are those of the rotors, or nominal.
     """
 
     mass: Annotated[Scalar, Quantity("kg", "mass M", above=0.0, leading=True)]
@@ -68,6 +82,7 @@ class Vehicle(NamedTuple):
         None
     )
     rotor: tuple[Rotor, ...] = ()
+    rotor_coefficients: RotorCoefficients = RotorCoefficients.ACTUAL
 
     @property
     def rotors(self) -> int:

@@ -51,6 +51,8 @@ NAVIGATION = 9
 """Number of leading error states in the normalised squared error: position, velocity, attitude."""
 LEAST_VARIANCE = 1e-30
 """Innovations with a smaller variance are ignored, which keeps the division finite."""
+ROUNDED_PIVOT = 64.0
+"""Pivots up to this many rounding errors of their variance count as 0."""
 
 Covariance = tuple[tuple[Scalar, ...], ...]
 """Lower triangle of a symmetric matrix, by rows."""
@@ -137,9 +139,11 @@ class KalmanFilter(NamedTuple):
         return corrected._replace(estimate=estimate, sensors=sensors)
 
     def predict(self, memory: KalmanMemory, increments: Increments, dt: float) -> KalmanMemory:
-        """The estimate one sample later by strapdown integration, with the covariance F P F' + Q of its error.
+        """The estimate one sample later by strapdown integration, with the covariance of its error.
 
-        Q is diagonal: the noise of the inertial unit, and the random walk of its biases.
+        The covariance is D (F D P D' F' + Q) D'. Q is diagonal: the noise of the inertial unit, and the random walk of
+        its biases. D moves the position by half a sample of the velocity, before and after F changes the velocity, so
+        that an error of the specific force moves the position by T^2/2 in the same sample.
         """
         previous = memory.estimate
         rotation = previous.attitude.matrix()
@@ -154,7 +158,8 @@ class KalmanFilter(NamedTuple):
             (GYRO_BIAS, self.sensors.gyro_walk),
             (ACCEL_BIAS, self.sensors.accel_walk),
         )
-        covariance = [list(row) for row in transformed(memory.covariance, transition(rotation, force, dt))]
+        drifted = transformed(memory.covariance, half_drift(dt))
+        covariance = [list(row) for row in transformed(drifted, transition(rotation, force, dt))]
         for first, density in noises:
             for i in range(first, first + 3):
                 covariance[i][i] = covariance[i][i] + density * density * dt
@@ -164,7 +169,8 @@ class KalmanFilter(NamedTuple):
             attitude=product(previous.attitude, rotation_step).normalised(),
             rate=previous.rate,
         )
-        return memory._replace(estimate=estimate, covariance=tuple(map(tuple, covariance)))
+        changed = tuple(map(tuple, covariance))
+        return memory._replace(estimate=estimate, covariance=transformed(changed, half_drift(dt)))
 
     def correct(self, memory: KalmanMemory, readings: Aids, dt: float) -> KalmanMemory:
         """The estimate after the updates by position, height and heading, and the covariance of its error.
@@ -207,7 +213,8 @@ class KalmanFilter(NamedTuple):
     def nees(self, memory: KalmanMemory, motion: Motion) -> Scalar:
         """Squared error of position, velocity and attitude, normalised by its covariance.
 
-        Its law is chi-squared with 9 degrees of freedom if the covariance is right.
+        Its law is chi-squared with 9 degrees of freedom if the covariance is right. A state whose error the covariance
+        takes as determined by those before it does not count, and each such state takes a degree of freedom.
         """
         estimate = memory.estimate
         attitude_error = rotation_vector(product(motion.attitude, conjugate(estimate.attitude)))
@@ -216,7 +223,7 @@ class KalmanFilter(NamedTuple):
 
 
 def transition(rotation: Mat3, force: Vec3, dt: float) -> tuple[Sparse, ...]:
-    """The rows of F - I, where F is the transition matrix of the error state over a sample, to first order in dt.
+    """The rows of F - I, where F changes velocity and attitude of the error state over a sample, to first order in dt.
 
     Args:
         rotation: R of the estimated attitude, body to inertial.
@@ -226,13 +233,20 @@ def transition(rotation: Mat3, force: Vec3, dt: float) -> tuple[Sparse, ...]:
     rows: list[list[tuple[int, Scalar]]] = [[] for _ in range(STATES)]
     cross = ((0.0, -force.z, force.y), (force.z, 0.0, -force.x), (-force.y, force.x, 0.0))  # [f]x
     for i in range(3):
-        rows[POSITION + i].append((VELOCITY + i, dt))
         for j in range(3):
             if i != j:
                 rows[VELOCITY + i].append((ATTITUDE + j, -cross[i][j] * dt))
             rows[VELOCITY + i].append((ACCEL_BIAS + j, -rotation[i][j] * dt))
             rows[ATTITUDE + i].append((GYRO_BIAS + j, -rotation[i][j] * dt))
     return tuple(map(tuple, rows))
+
+
+def half_drift(dt: float) -> tuple[Sparse, ...]:
+    """The rows of D - I, where D moves the position by the velocity over half a sample of length dt [s]."""
+    rows: list[Sparse] = [()] * STATES
+    for i in range(3):
+        rows[POSITION + i] = ((VELOCITY + i, 0.5 * dt),)
+    return tuple(rows)
 
 
 def entry(covariance: Covariance, i: int, j: int) -> Scalar:
@@ -313,7 +327,9 @@ def normalised_square(covariance: Covariance, error: tuple[Scalar, ...]) -> Scal
     """The normalised squared error e' P^-1 e, for the leading block of the covariance P that belongs to e.
 
     P = L D L' with a lower triangle L of ones on its diagonal and a diagonal D; with z = L^-1 e, the result is the sum
-    of z_i^2/D_i. Row i of the factors follows from the rows before it.
+    of z_i^2/D_i. Row i of the factors follows from the rows before it. Where P is singular, D_i is 0 up to rounding for
+    some i, and these terms are left out. After an exact start this is so of the velocity for a sample: its error and
+    that of the position come from the same noise.
     """
     factor: list[list[Scalar]] = []  # L below its diagonal
     inverse: list[Scalar] = []  # of D
@@ -333,7 +349,9 @@ def normalised_square(covariance: Covariance, error: tuple[Scalar, ...]) -> Scal
             pivot = pivot - scaled[j] * line[j]
             value = value - scaled[j] * solution[j]
         factor.append(scaled)
-        inverse.append(1.0 / jnp.maximum(pivot, LEAST_VARIANCE))
+        rounding = ROUNDED_PIVOT * jnp.finfo(jnp.result_type(pivot)).eps * covariance[i][i]
+        is_regular = pivot > rounding
+        inverse.append(jnp.where(is_regular, 1.0 / jnp.where(is_regular, pivot, 1.0), 0.0))
         solution.append(value)
         total = total + value * value * inverse[i]
     return total

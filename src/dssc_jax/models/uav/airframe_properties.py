@@ -1,0 +1,217 @@
+"""Mass, inertia, thrust, drag and lag of a PX4 vehicle, from the simulation's parameters (SIH_) of its file.
+
+:mod:`dssc_jax.models.uav.airframe` names the sources.
+"""
+
+import difflib
+import math
+from collections.abc import Mapping
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.models.uav.airframe_rotors import PlacedRotor, are_ratios
+from dssc_jax.models.uav.vehicle import GRAVITY, RotorCoefficients
+
+INERTIA = ("SIH_IXX", "SIH_IYY", "SIH_IZZ")
+"""The moments of inertia."""
+PRODUCTS = ("SIH_IXY", "SIH_IXZ", "SIH_IYZ")
+"""The products of inertia."""
+SIH_DEFAULTS: dict[str, float] = {
+    "SIH_MASS": 1.0,
+    "SIH_IXX": 0.025,
+    "SIH_IYY": 0.025,
+    "SIH_IZZ": 0.030,
+    "SIH_T_MAX": 5.0,
+    "SIH_Q_MAX": 0.1,
+    "SIH_T_TAU": 0.05,
+    "SIH_L_ROLL": 0.2,
+    "SIH_L_PITCH": 0.2,
+    "SIH_KDV": 1.0,
+}
+"""PX4's defaults in a file for the simulation in hardware, which is one that sets SIH_VEHICLE_TYPE."""
+GYRATION = (0.45, 0.45, 0.6)
+"""Radii of gyration over the arm: means of the package's vehicles with sources, which differ by a third."""
+HOVER_SPEED = 500.0
+"""Nominal rotor speed in hover [rad/s], where the true one is not known: PX4's parameters contain none."""
+MISSPELT = 0.85
+"""Similarity from which on a name counts as a misspelt SIH_MASS; another parameter's, SIH_T_MAX, has 0.71."""
+
+
+def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> None:
+    """Require a mass, and arm lengths if the rotors' positions are ratios.
+
+    Raises:
+        ConfigError: The mass is not positive, or sizes are missing; the message names all that are missing.
+    """
+    if not parameters.get("SIH_MASS", 1.0) > 0.0:
+        raise ConfigError("SIH_MASS", f"must be > 0, got {parameters['SIH_MASS']:g} kg")
+    missing = []
+    if "SIH_MASS" not in parameters:
+        similar = difflib.get_close_matches("SIH_MASS", list(parameters), n=1, cutoff=MISSPELT)
+        misspelt = f", but {similar[0]}: correct the name" if similar else ""
+        remedy = "or give it with --mass KG" if similar else "give it with --mass KG"
+        missing.append(f"the file does not set SIH_MASS, the mass{misspelt}; {remedy}")
+    if are_ratios(rotors) and not ("SIH_L_ROLL" in parameters and "SIH_L_PITCH" in parameters):
+        missing.append("positions are ratios of a generic airframe, not metres; give what they are ratios of, --arm M")
+    if missing:
+        raise ConfigError("SIH_MASS" if "SIH_MASS" not in parameters else "CA_ROTORi_PX, _PY", "; ".join(missing))
+
+
+def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) -> list[float]:
+    """Return the file's moments of inertia [kg m^2], or estimate them from mass and arm [m], with a note."""
+    if all(name in parameters for name in INERTIA):
+        return [parameters[name] for name in INERTIA]
+    notes.append("body_inertia is estimated from mass and arm, within a third: the file does not set SIH_IXX, ..")
+    return [parameters["SIH_MASS"] * (radius * arm) ** 2 for radius in GYRATION]
+
+
+def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str]) -> TomlTable:
+    """Entries of the vehicle for a rotor's largest thrust, and for the torque that belongs to it if the file has both.
+
+    Args:
+        parameters: The file's parameters.
+        lift: Thrust of each rotor in hover [N].
+        notes: The list to which a note is added.
+
+    Raises:
+        ConfigError: MPC_THR_HOVER is not in (0, 1].
+    """
+    if "SIH_T_MAX" in parameters:
+        entries: TomlTable = {"max_thrust": parameters["SIH_T_MAX"]}
+        if "SIH_Q_MAX" in parameters:  # of the simulated plant; CA_ROTORi_KM is the allocation's assumption
+            entries["torque_coefficient"] = parameters["SIH_Q_MAX"] / parameters["SIH_T_MAX"]
+        return entries
+    if "MPC_THR_HOVER" not in parameters:
+        notes.append("max_thrust is twice that of hover: the file sets neither SIH_T_MAX nor MPC_THR_HOVER")
+        return {"max_thrust": 2.0 * lift}
+    hover_command = parameters["MPC_THR_HOVER"]
+    if not 0.0 < hover_command <= 1.0:
+        raise ConfigError("MPC_THR_HOVER", f"must be > 0 and <= 1, got {hover_command:g}")
+    notes.append("max_thrust follows from MPC_THR_HOVER, with thrust linear in the command; the file sets no SIH_T_MAX")
+    return {"max_thrust": lift / hover_command}
+
+
+def rotors_of(geometry: TomlTable) -> int:
+    """Count the rotors that entries of the vehicle place: in a list, or on a circle."""
+    return len(geometry.get("rotor") or geometry["spins"])
+
+
+def hover_thrust(mass: float, geometry: TomlTable) -> float:
+    """Compute the thrust of each rotor in hover [N], for a mass [kg]; tilted rotors push more than they lift."""
+    upward = 0.0  # sum of the axes' vertical parts; only tilted rotors have entries of their axes
+    for entry in geometry.get("rotor", []):
+        if "axis" in entry:
+            upward += entry["axis"][2] / math.hypot(*entry["axis"])
+    return mass * GRAVITY / (upward if upward > 0.0 else rotors_of(geometry))
+
+
+def drag_entries(parameters: Mapping[str, float], speeds: float, notes: list[str]) -> TomlTable:
+    """Make the vehicle's entries for the drag: SIH_KDV v, as the propellers have it in hover.
+
+    Args:
+        parameters: The file's parameters.
+        speeds: Sum of the rotors' speeds in hover [rad/s].
+        notes: The list to which a note is added.
+    """
+    if "SIH_KDV" in parameters:
+        notes.append("drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out")
+    else:
+        notes.append("drag is 0, so that a wind has no effect: the file does not set SIH_KDV; structure_drag gives it")
+    propeller_drag = parameters.get("SIH_KDV", 0.0) / speeds
+    return {"structure_drag": [0.0, 0.0, 0.0], "propeller_drag": propeller_drag}
+
+
+def coefficient_entries(
+    parameters: Mapping[str, float], lift: float, hover_speed: float | None, notes: list[str]
+) -> TomlTable:
+    """Make the vehicle's thrust coefficient, and tell whether its coefficients are those of the rotors.
+
+    They are if both the speed and, by SIH_Q_MAX and SIH_T_MAX, the torque are known. CA_ROTORi_KM is what the
+    allocation assumes.
+
+    Args:
+        parameters: The file's parameters.
+        lift: Thrust of each rotor in hover [N].
+        hover_speed: Speed of the rotors in hover [rad/s]; None: it is not known.
+        notes: The list to which notes are added.
+    """
+    speed = HOVER_SPEED if hover_speed is None else hover_speed
+    entries: TomlTable = {"thrust_coefficient": lift / speed**2}
+    causes = []
+    if hover_speed is None:
+        causes.append(f"thrust_coefficient is that of {HOVER_SPEED:g} rad/s in hover, for want of a stated hover speed")
+    if not ("SIH_Q_MAX" in parameters and "SIH_T_MAX" in parameters):
+        causes.append("torque_coefficient is CA_ROTORi_KM, which the allocation assumes, for want of SIH_Q_MAX")
+    if causes:
+        entries["rotor_coefficients"] = RotorCoefficients.NOMINAL.value
+        notes += causes
+        notes.append(
+            "rotor_coefficients are nominal: rotor speeds and the power that a battery gives depend on them, so state "
+            "hover_power in [plant.battery]"
+        )
+    return entries
+
+
+def properties_of(
+    parameters: Mapping[str, float], geometry: TomlTable, hover_speed: float | None, notes: list[str]
+) -> TomlTable:
+    """Make the entries of the vehicle for mass, inertia, thrust, drag and lag; every estimate adds a note.
+
+    The file's inertia is the whole vehicle's, so the rotors' inertia is zero. PX4's lag delays the thrust; near hover,
+    where the thrust is linear in the rotor speed, the speed has the same lag. SIH_KDV v is the propellers' drag at
+    their speed in hover.
+
+    Args:
+        parameters: The file's parameters.
+        geometry: Entries of the vehicle that place its rotors.
+        hover_speed: Speed of the rotors in hover [rad/s]; None: it is not known.
+        notes: The list to which notes are added.
+
+    Raises:
+        ConfigError: MPC_THR_HOVER is not in (0, 1].
+    """
+    mass = parameters["SIH_MASS"]
+    lift = hover_thrust(mass, geometry)
+    properties: TomlTable = {"mass": mass, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
+    properties["body_inertia"] = body_inertia(parameters, geometry["arm"], notes)
+    properties |= coefficient_entries(parameters, lift, hover_speed, notes)
+    speed = HOVER_SPEED if hover_speed is None else hover_speed
+    properties |= drag_entries(parameters, rotors_of(geometry) * speed, notes)
+    properties |= thrust_entries(parameters, lift, notes)
+    if "SIH_T_TAU" in parameters:
+        properties["motor_lag"] = parameters["SIH_T_TAU"]
+    else:
+        notes.append("motor_lag is left out, so that rotors follow at once: the file does not set SIH_T_TAU")
+    if any(parameters.get(name, 0.0) for name in PRODUCTS):
+        notes.append(f"{', '.join(PRODUCTS)} are left out: the model's axes are principal axes")
+    return properties
+
+
+def with_simulation_defaults(parameters: dict[str, float], notes: list[str]) -> dict[str, float]:
+    """Add PX4's defaults of the simulation in hardware, with a note, if the file is one for it."""
+    if "SIH_VEHICLE_TYPE" not in parameters:
+        return parameters
+    unset = [name for name in SIH_DEFAULTS if name not in parameters]
+    if unset:
+        notes.append(f"{', '.join(unset)} are PX4's defaults of the simulation in hardware")
+    return SIH_DEFAULTS | parameters
+
+
+def with_stated_sizes(
+    parameters: dict[str, float], mass: float | None, arm: float | None, notes: list[str]
+) -> dict[str, float]:
+    """Replace the file's mass [kg] and arm [m] by the stated ones; None: it is not stated."""
+    stated_values = {}
+    if mass is not None:
+        stated_values["SIH_MASS"] = mass
+        if parameters.get("SIH_MASS", mass) != mass:
+            notes.append(f"the mass is the stated one, {mass:g} kg, in place of SIH_MASS = {parameters['SIH_MASS']:g}")
+    if arm is not None:
+        stated_values |= {"SIH_L_ROLL": arm, "SIH_L_PITCH": arm}
+    return parameters | stated_values
+
+
+def drop_torque_of_single_rotors(vehicle: TomlTable) -> None:
+    """Remove the torque coefficient of each listed rotor, where the simulated plant's coefficient holds for all."""
+    for entry in vehicle.get("rotor", []):
+        entry.pop("torque_coefficient")
