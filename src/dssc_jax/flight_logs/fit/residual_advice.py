@@ -32,7 +32,7 @@ def cause_text(channel: str, causes: Sequence[SignalWarning]) -> str:
 
 
 def advice_text(study: Study, hint: str, causes: Sequence[SignalWarning]) -> str:
-    """The likely causes of a refusal, then what to compare if it is none of them, in sentences.
+    """The likely causes of a refusal, a unit or a sign first, then what to compare if it is none of them, in sentences.
 
     Args:
         study: The study.
@@ -40,10 +40,8 @@ def advice_text(study: Study, hint: str, causes: Sequence[SignalWarning]) -> str
         causes: Warnings of likely causes.
     """
     named = "".join(f". {cause.text}" for cause in causes)
-    general = f". {REMEDY}; {GIVE_WHAT_ACTS}"
-    if named:
-        return f"{named}{hint}{general}"
-    return f"{general}{hint}{strength_hint(study)}"
+    strength = "" if named else strength_hint(study)
+    return f"{hint}{named}. {REMEDY}; {GIVE_WHAT_ACTS}{strength}"
 
 
 def strength_hint(study: Study) -> str:
