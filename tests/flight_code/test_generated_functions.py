@@ -173,6 +173,20 @@ def test_parameters_are_checked_against_their_ranges(tmp_path):
     assert "> 0" in next(line for line in header.splitlines() if " rho;  /*" in line)
 
 
+def test_limits_are_checked_in_pairs(tmp_path):
+    """The lower one is named where it is not below the upper one, and its comment says so."""
+    limits = {"kind": "pid", "k_p": 1.0, "low": -0.5, "high": 0.5}
+    compiled = CompiledController(FlightFolder(dj.Study.from_table(table(limits))), tmp_path)
+    names = [parameter.name for parameter in compiled.controller.parameters]
+    assert compiled.check() == 0
+    compiled.memory.parameters.low = 0.6
+    assert names[compiled.check() - 1] == "low"
+    compiled.memory.parameters.high = 0.7
+    assert compiled.check() == 0
+    header = (tmp_path / "flown_controller.h").read_text()
+    assert "lower limit of the command, < high; -0.5 */" in header
+
+
 def test_reset_is_a_fresh_start(compiled):
     compiled.reset()
     first = [compiled.step(*sample) for sample in samples(10)]

@@ -203,12 +203,17 @@ def value_row(spec: FieldSpec, name: str, default: str) -> FieldRow:
 
 
 def limits_text(quantity: Quantity) -> str:
-    """List the bounds of a quantity's values, and whether they may not have a law; empty if all is admissible."""
+    """List the bounds of a quantity's values, and whether they may not have a law; empty if all is admissible.
+
+    A bound by another number of the same part is the name of that number.
+    """
     limits = []
     bounds = {">": quantity.above, ">=": quantity.at_least, "<": quantity.below, "<=": quantity.at_most}
     for sign, bound in bounds.items():
         if bound is not None:
             limits.append(f"{sign} {bound:g}")
+    if quantity.less_than is not None:
+        limits.append(f"< {quantity.less_than}")
     if not quantity.law:
         limits.append("no law")
     return ", ".join(limits)

@@ -24,6 +24,8 @@ class Quantity:
         ends: Whether it is the time at which an effect ends.
         periodic: Whether it is an angle that begins again after a turn.
         whole: Whether it is a whole number, whose law is a choice of whole numbers.
+        less_than: Name of the number of the same part below which it must lie, for all values of their laws; None: of
+            none.
     """
 
     unit: str
@@ -39,6 +41,7 @@ class Quantity:
     ends: bool = False
     periodic: bool = False
     whole: bool = False
+    less_than: str | None = None
 
     def element(self, index: int) -> "Quantity":
         """The quantity of an element of a list of numbers, with the unit of that element."""

@@ -25,6 +25,7 @@ class Parameter(NamedTuple):
         quantity: Unit, meaning and range; None: its field declares none.
         value: The study's value, or the value at the medians of the laws.
         uncertain: Whether it has a law in the study, or follows from a number that has one.
+        less_than: Name in C of the parameter below which it must lie; None: of none.
     """
 
     key: str
@@ -32,6 +33,7 @@ class Parameter(NamedTuple):
     quantity: Quantity | None
     value: float
     uncertain: bool
+    less_than: str | None = None
 
 
 def loop_parameters(
@@ -53,6 +55,8 @@ def loop_parameters(
         number_of_path |= dict.fromkeys(number.paths, number)
     leaves, _ = tree_flatten_with_path(study.template)
     parameters: dict[str, Parameter] = {}
+    keys: dict[str, str] = {}  # by path
+    larger_paths: dict[str, str] = {}  # by key
     for path, leaf in leaves:
         dotted_path = keystr(path, simple=True, separator=".")
         if not selects(dotted_path) or not isinstance(leaf, float | UncertainValue):
@@ -65,8 +69,18 @@ def loop_parameters(
         uncertain = isinstance(leaf, UncertainValue)
         value = float(leaf.median) if isinstance(leaf, UncertainValue) else leaf
         parameters[key] = Parameter(key, name(key), quantity, value, uncertain)
+        keys[dotted_path] = key
+        if quantity is not None and quantity.less_than is not None:
+            part, _, _ = dotted_path.rpartition(".")
+            larger_paths[key] = f"{part}.{quantity.less_than}"
     c_names = member_names(parameter.name for parameter in parameters.values())
-    return tuple(parameter._replace(name=name) for parameter, name in zip(parameters.values(), c_names, strict=True))
+    name_of_key = dict(zip(parameters, c_names, strict=True))
+    named = []
+    for key, parameter in parameters.items():
+        larger_key = keys.get(larger_paths.get(key, ""))
+        larger = None if larger_key is None else name_of_key[larger_key]
+        named.append(parameter._replace(name=name_of_key[key], less_than=larger))
+    return tuple(named)
 
 
 def declared_quantity(params: Any, path: str, units: ChannelUnits) -> Quantity | None:
@@ -106,6 +120,8 @@ def parameter_comment(number: int, parameter: Parameter) -> str:
     if quantity is None:
         return f"{number}: computed from the study; {parameter.value!r}{median}"
     interval = f", {quantity.interval}" if quantity.interval else ""
+    if parameter.less_than is not None:
+        interval += f", < {parameter.less_than}"
     return f"{number}: {quantity.unit}: {quantity.meaning}{interval}; {parameter.value!r}{median}"
 
 
@@ -130,7 +146,10 @@ def check_lines(parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
 
 
 def parameter_conditions(parameter: Parameter, real: np.dtype) -> list[str]:
-    """Conditions in C that hold for exactly the admissible values of a parameter; NaN is not admissible."""
+    """Conditions in C that hold for exactly the admissible values of a parameter; NaN is not admissible.
+
+    Of two parameters in order, the first has the condition.
+    """
     member = f"parameters->{parameter.name}"
     conditions = [f"is_finite({member})"]
     quantity = parameter.quantity
@@ -140,4 +159,6 @@ def parameter_conditions(parameter: Parameter, real: np.dtype) -> list[str]:
     for sign, bound in bounds.items():
         if bound is not None:
             conditions.append(f"{member} {sign} {c_literal(real.type(bound), real)}")
+    if parameter.less_than is not None:
+        conditions.append(f"{member} < parameters->{parameter.less_than}")
     return conditions

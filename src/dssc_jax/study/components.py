@@ -19,7 +19,7 @@ from dssc_jax.core.named import Text, require_signal_name
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.study.fields import FieldSpec, field_specs, is_record, table_model
+from dssc_jax.study.fields import FieldSpec, field_specs, in_order, is_record, table_model
 from dssc_jax.study.importing import import_object
 from dssc_jax.study.laws import is_law, is_number
 from dssc_jax.study.numbers import Number, leaves_of, numbers_of_field, parse_number
@@ -226,7 +226,7 @@ def parse_params(
     numbers: list[Number] = []
     for name in specs:
         numbers += numbers_by_field.get(name, ())
-    return params(**fields), tuple(numbers)
+    return in_order(params(**fields)), tuple(numbers)
 
 
 def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable) -> tuple[Any, tuple[Number, ...]]:

@@ -9,8 +9,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, create_model
 
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.named import Text
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.registry import Slot
 from dssc_jax.study.numbers import parse_numbers
 
@@ -109,6 +110,26 @@ def field_specs(params: type) -> dict[str, FieldSpec]:
             field_type = present_members[0] if len(present_members) == 1 else field_type
         specs[name] = FieldSpec(mark, field_type, is_optional)
     return specs
+
+
+def in_order(part: Any) -> Any:
+    """The part itself, whose numbers must lie below those that their quantities name in ``less_than``.
+
+    Args:
+        part: A NamedTuple of parameters, with numbers or laws. An absent number has no order.
+
+    Raises:
+        ConfigError: For some values of their laws a number is not below the other.
+    """
+    for name, spec in field_specs(type(part)).items():
+        larger_name = spec.mark.less_than if isinstance(spec.mark, Quantity) else None
+        if larger_name is None or getattr(part, name) is None or getattr(part, larger_name) is None:
+            continue
+        _, highest = extent(getattr(part, name))
+        lowest_larger, _ = extent(getattr(part, larger_name))
+        if not highest < lowest_larger:
+            raise ConfigError(name, f"must be below {larger_name} = {lowest_larger:g}, got up to {highest:g}")
+    return part
 
 
 def number_type(quantity: Quantity, depth: int, optional: bool) -> Any:

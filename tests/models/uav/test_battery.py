@@ -110,7 +110,7 @@ def test_a_power_from_nominal_coefficients_is_refused():
 
 
 def test_what_a_battery_excludes():
-    with pytest.raises(ConfigError, match=r"battery\.empty_voltage: must be below full_voltage = 25.2 V"):
+    with pytest.raises(ConfigError, match=r"battery\.empty_voltage: must be below full_voltage = 25\.2, got up to 26"):
         study_of(empty_voltage=26.0)
     with pytest.raises(ConfigError, match="has a battery, which is never at rest"):
         dj.loop_margins(study_of())

@@ -84,9 +84,9 @@ def test_frequency_must_divide_the_sample_and_the_substeps():
 
 def test_px4_thrusts_must_be_in_order():
     """The least thrust above the largest one flew, and every draw failed."""
-    with pytest.raises(ConfigError, match=r"thrust_min: must be below thrust_max = 0.8, got up to 0.9"):
-        Px4Gains(thrust_min=0.9, thrust_max=0.8).prepare()
     study = study_of("px4", STEPS["small"])
+    with pytest.raises(ConfigError, match=r"thrust_min: must be below thrust_max = 0.8, got up to 0.9"):
+        study.override({"plant.inner_loop.thrust_min": 0.9, "plant.inner_loop.thrust_max": 0.8})
     with pytest.raises(ConfigError, match=r"inner_loop\.thrust_min: must be below thrust_max = 0.1, got up to 0.12"):
         study.override({"plant.inner_loop.thrust_max": {"uniform": [0.1, 0.5]}})
     with pytest.raises(ConfigError, match=r"sweep: plant\.inner_loop\.thrust_min: must be below thrust_max = 0.4"):

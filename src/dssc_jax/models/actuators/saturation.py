@@ -9,9 +9,8 @@ import jax.numpy as jnp
 
 from dssc_jax.core.adapters import static_unmodelled
 from dssc_jax.core.contracts import Unmodelled
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip
-from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.smoothness import piecewise
 
@@ -20,23 +19,13 @@ class SaturationParams(NamedTuple):
     """Limits of the plant input: [low, limit], or [-limit, limit] without ``low``; infinite for an ideal actuator."""
 
     limit: Annotated[Scalar, Quantity("u", "largest plant input", above=0.0)]
-    low: Annotated[Scalar | None, Quantity("u", "smallest plant input; absent: -limit")] = None
+    low: Annotated[Scalar | None, Quantity("u", "smallest plant input; absent: -limit", less_than="limit")] = None
 
 
 def limited_command(params: SaturationParams, command: Scalar) -> Scalar:
     """The plant input [u]: the command, clipped to the limits."""
     low = -params.limit if params.low is None else params.low
     return clip(command, low, params.limit)
-
-
-def prepare(params: SaturationParams) -> SaturationParams:
-    """Require that the lower limit lies below the upper one, for all values of their laws; raises ConfigError."""
-    if params.low is not None:
-        _, highest_low = extent(params.low)
-        lowest_limit, _ = extent(params.limit)
-        if not highest_low < lowest_limit:
-            raise ConfigError("low", f"must be below limit = {lowest_limit:g}, got up to {highest_low:g}")
-    return params
 
 
 def without_limit(params: SaturationParams) -> tuple[Unmodelled, SaturationParams]:
@@ -52,5 +41,4 @@ SATURATION = static_unmodelled(
     limited_command,
     smooth=piecewise("its limit; there it counts as within the limit, a gain of 1", without_limit),
     continuous=True,
-    prepare=prepare,
 )

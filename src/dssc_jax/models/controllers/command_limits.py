@@ -8,12 +8,11 @@ from collections.abc import Callable
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Controller
-from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.core.smoothness import SMOOTH, Smoothness, piecewise
 
-LOW = Quantity("u", "lower limit of the command")
+LOW = Quantity("u", "lower limit of the command", less_than="high")
 HIGH = Quantity("u", "upper limit of the command")
 
 
@@ -38,26 +37,6 @@ def tracking_rate(proportional: Scalar, integral: Scalar, tracking: Scalar | Non
         return 1.0 / jnp.maximum(tracking, dt)
     ratio = integral / jnp.where(proportional > 0.0, proportional, 1.0)
     return jnp.where(proportional > 0.0, jnp.minimum(ratio, 1.0 / dt), 1.0 / dt)
-
-
-def require_order(low: Scalar | None, high: Scalar | None) -> None:
-    """Require that a lower limit lies below an upper one, for all values of their laws; None: there is no such limit.
-
-    Raises:
-        ConfigError: The lower limit may reach the upper one.
-    """
-    if low is None or high is None:
-        return
-    _, highest_low = extent(low)
-    lowest_high, _ = extent(high)
-    if not highest_low < lowest_high:
-        raise ConfigError("low", f"must be below high = {lowest_high:g}, got up to {highest_low:g}")
-
-
-def prepare_limits(gains: Params) -> Params:
-    """The gains themselves, whose ``low`` must lie below ``high``; raises ConfigError."""
-    require_order(gains.low, gains.high)
-    return gains
 
 
 def smooth_within_limits(init: Callable, step: Callable) -> Callable[[Params], Smoothness]:

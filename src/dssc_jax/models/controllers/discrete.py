@@ -21,7 +21,7 @@ from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.registry import Entry, single
 from dssc_jax.core.setting import LoopSetting
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
-from dssc_jax.models.controllers.command_limits import HIGH, LOW, require_order, smooth_within_limits, within_limits
+from dssc_jax.models.controllers.command_limits import HIGH, LOW, smooth_within_limits, within_limits
 from dssc_jax.models.controllers.nominal import L0
 
 MOST_STATES = 40
@@ -115,8 +115,7 @@ def fraction_step(
 
 
 def prepare_fraction(gains: FractionGains) -> FractionGains:
-    """Require a proper transfer function, and a lower limit below the upper one; raises ConfigError."""
-    require_order(gains.low, gains.high)
+    """Require a proper transfer function; raises ConfigError."""
     if not 1 <= len(gains.denominator) <= MOST_STATES + 1:
         rule = f"must have 1 to {MOST_STATES + 1} coefficients, got {len(gains.denominator)}"
         raise ConfigError("denominator", rule)
@@ -162,8 +161,7 @@ def require_rows(name: str, rows: Rows, shape: tuple[int, int]) -> None:
 
 
 def prepare_matrix(gains: MatrixGains) -> MatrixGains:
-    """Require matrices whose sizes fit each other, and a lower limit below the upper one; raises ConfigError."""
-    require_order(gains.low, gains.high)
+    """Require matrices whose sizes fit each other; raises ConfigError."""
     order = len(gains.a)
     if order > MOST_STATES:
         raise ConfigError("a", f"must have at most {MOST_STATES} rows, got {order}")

@@ -34,7 +34,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, single
 from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
-from dssc_jax.models.controllers.command_limits import HIGH, LOW, prepare_limits, smooth_within_limits, within_limits
+from dssc_jax.models.controllers.command_limits import HIGH, LOW, smooth_within_limits, within_limits
 from dssc_jax.models.controllers.linear_quadratic import (
     SampledPlant,
     filter_gain,
@@ -353,7 +353,6 @@ LQG: Entry = single(
         gains=LqgGains,
         init=init,
         step=step,
-        prepare=prepare_limits,
         transfer=transfer,
         smooth=smooth_within_limits(init, step),
         takes=lambda gains: gains.taken,

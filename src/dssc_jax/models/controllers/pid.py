@@ -28,7 +28,6 @@ from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
 from dssc_jax.models.controllers.command_limits import (
     HIGH,
     LOW,
-    prepare_limits,
     smooth_within_limits,
     tracking_rate,
     within_limits,
@@ -120,7 +119,6 @@ PID: Entry = single(
         gains=PidGains,
         init=init,
         step=step,
-        prepare=prepare_limits,
         transfer=transfer,
         smooth=smooth_within_limits(init, step),
         tunable=("k_p", "k_i"),

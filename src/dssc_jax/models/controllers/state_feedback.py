@@ -25,7 +25,6 @@ from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
 from dssc_jax.models.controllers.command_limits import (
     HIGH,
     LOW,
-    require_order,
     smooth_within_limits,
     tracking_rate,
     within_limits,
@@ -118,12 +117,11 @@ def transfer(
 
 
 def prepare(gains: FeedbackGains) -> FeedbackGains:
-    """The gains themselves, which must feed something back, with fitting lengths and ``low`` below ``high``.
+    """The gains themselves, which must feed something back, with fitting lengths.
 
     Raises:
         ConfigError: A condition does not hold.
     """
-    require_order(gains.low, gains.high)
     require_resting(gains.resting_signals, len(gains.signals))
     if is_zero(gains.k_1) and is_zero(gains.k_2) and not gains.signals:
         raise ConfigError("k_1", "must not be zero with k_2 and without signals: nothing would be fed back")

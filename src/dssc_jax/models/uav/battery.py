@@ -15,7 +15,7 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.models.uav.vehicle import RotorCoefficients, Vehicle
 
@@ -26,7 +26,9 @@ class Battery(NamedTuple):
     capacity: Annotated[Scalar, Quantity("A s", "charge Q of the full battery; 1 A h is 3600 A s", above=0.0)]
     resistance: Annotated[Scalar, Quantity("ohm", "internal resistance R, with cables", at_least=0.0)]
     full_voltage: Annotated[Scalar, Quantity("V", "voltage V_f at rest when full", above=0.0)]
-    empty_voltage: Annotated[Scalar, Quantity("V", "voltage V_e at rest when empty", above=0.0)]
+    empty_voltage: Annotated[
+        Scalar, Quantity("V", "voltage V_e at rest when empty", above=0.0, less_than="full_voltage")
+    ]
     efficiency: Annotated[
         Scalar | None, Quantity("1", "efficiency eta of motors and controllers", above=0.0, at_most=1.0)
     ] = None
@@ -44,16 +46,12 @@ class Supply(NamedTuple):
 
 
 def checked_battery(battery: Battery, vehicle: Vehicle) -> Battery:
-    """The battery itself, whose voltages must be in order and whose power must be known.
+    """The battery itself, whose power must be known.
 
     Raises:
-        ConfigError: The empty voltage is not below the full one, not exactly one of ``efficiency`` and ``hover_power``
-            is given, or the efficiency stands beside nominal coefficients of the rotors.
+        ConfigError: Not exactly one of ``efficiency`` and ``hover_power`` is given, or the efficiency stands beside
+            nominal coefficients of the rotors.
     """
-    _, empty = extent(battery.empty_voltage)  # the highest value of its law
-    full, _ = extent(battery.full_voltage)  # and the lowest
-    if not empty < full:
-        raise ConfigError("battery.empty_voltage", f"must be below full_voltage = {full:g} V, got up to {empty:g} V")
     if (battery.efficiency is None) == (battery.hover_power is None):
         raise ConfigError("battery", "needs either efficiency, or hover_power in watts")
     if battery.hover_power is None and vehicle.rotor_coefficients is RotorCoefficients.NOMINAL:

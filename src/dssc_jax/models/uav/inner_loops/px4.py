@@ -24,7 +24,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip, root_abs
-from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
@@ -79,7 +79,9 @@ class Px4Gains(NamedTuple):
     velocity_d_z: Annotated[Scalar, Quantity("1", "MPC_Z_VEL_D_ACC", at_least=0.0)] = 0.0
     velocity_cutoff: Annotated[float | None, Quantity("Hz", "cutoff of v'", above=0.0, law=False)] = 5.0
     tilt_max: Annotated[Scalar, Quantity("rad", "MPC_TILTMAX_AIR", above=0.0, below=1.55)] = math.radians(45.0)
-    thrust_min: Annotated[Scalar, Quantity("1", "MPC_THR_MIN, share of full thrust", above=0.0, below=1.0)] = 0.12
+    thrust_min: Annotated[
+        Scalar, Quantity("1", "MPC_THR_MIN, share of full thrust", above=0.0, below=1.0, less_than="thrust_max")
+    ] = 0.12
     thrust_max: Annotated[Scalar, Quantity("1", "MPC_THR_MAX", above=0.0, at_most=1.0)] = 1.0
     thrust_margin: Annotated[Scalar, Quantity("1", "MPC_THR_XY_MARG", at_least=0.0, at_most=1.0)] = 0.3
     thrust_hover: Annotated[Scalar | None, Quantity("1", "MPC_THR_HOVER; absent: exact", above=0.0, below=1.0)] = None
@@ -123,7 +125,7 @@ class Px4Gains(NamedTuple):
 
         Raises:
             ConfigError: A triple has not three values, a settled start has no integral gain of the vertical velocity,
-                the gyroscopes' filter is too fast for the ticks, or the least thrust is not below the largest.
+                or the gyroscopes' filter is too fast for the ticks.
         """
         require_triples(self, TRIPLES)
         require_integral(self, "velocity_i_z")
@@ -131,11 +133,6 @@ class Px4Gains(NamedTuple):
         if cutoff is not None and not 2.0 * cutoff < self.frequency:
             rule = f"must be below frequency/2 = {0.5 * self.frequency:g} Hz"
             raise ConfigError("gyro_cutoff", f"{rule}, got {cutoff:g} Hz")
-        _, highest_minimum = extent(self.thrust_min)
-        lowest_maximum, _ = extent(self.thrust_max)
-        if not highest_minimum < lowest_maximum:
-            rule = f"must be below thrust_max = {lowest_maximum:g}, got up to {highest_minimum:g}"
-            raise ConfigError("thrust_min", rule)
         return self
 
     def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
