@@ -23,7 +23,7 @@ from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.parameters import Believed
 from dssc_jax.models.uav.plant import UAV
 from dssc_jax.models.uav.presets import VEHICLES
-from dssc_jax.models.uav.vehicle import Rotor
+from dssc_jax.models.uav.vehicle import Rotor, RotorCoefficients
 
 DT, SECONDS = 0.01, 34.0
 RADIUS, PERIOD, TURN = 2.0, 6.0, 0.3
@@ -156,6 +156,7 @@ def alike(params):
     limit, lag = vehicle.thrust_limit, vehicle.motor_lag or 0.02
     listed = vehicle._replace(rotor=rotors, rotor_angles=(), spins=(), max_thrust=limit, motor_lag=lag)
     believed = Believed(*params.believed)._replace(thrust_coefficient=None)
+    listed = listed._replace(rotor_coefficients=RotorCoefficients.ACTUAL)  # those of a PX4 file are nominal
     plain = params._replace(vehicle=listed, desaturation=Desaturation.CLIP, believed=believed, allocation=())
     return UAV.prepare(plain)
 
