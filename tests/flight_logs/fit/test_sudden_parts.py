@@ -11,8 +11,8 @@ from dssc_jax.flight_logs.fit.refusals import Unexplained
 from dssc_jax.flight_logs.fit.sudden_parts import (
     GAIN_STEP,
     WIND_STEP,
+    force_from,
     lacking_sudden_parts,
-    pushed_from,
     weakened_from,
 )
 from tests.flight_logs.fit.test_fit import DT, linear, log_of
@@ -97,8 +97,8 @@ def test_a_strong_wind_is_told_with_the_time_between_two_samples_and_its_advice_
 
 def test_a_force_between_two_samples_has_its_mean_over_the_first():
     flight = Flight(np.zeros(4), np.zeros(4), DT)
-    np.testing.assert_allclose(pushed_from(1.0, flight, 2.0), [0.0, 2.0, 2.0, 2.0])
-    np.testing.assert_allclose(pushed_from(1.25, flight, 2.0), [0.0, 1.5, 2.0, 2.0])
+    np.testing.assert_allclose(force_from(1.0, flight, 2.0), [0.0, 2.0, 2.0, 2.0])
+    np.testing.assert_allclose(force_from(1.25, flight, 2.0), [0.0, 1.5, 2.0, 2.0])
     thrust = Flight(np.full(4, 2.0), np.zeros(4), DT)
     np.testing.assert_allclose(weakened_from(1.25, thrust, 0.4), [2.0, 1.4, 1.2, 1.2])
 
@@ -118,3 +118,34 @@ def test_a_gain_that_falls_at_a_moment_is_told_with_its_time_and_share(predictio
     assert percent == pytest.approx(100.0 * abs(1.0 - kept), abs=0.5)
     assert abs(time - begin) < 4.0 * deviation
     assert deviation < 0.3
+
+
+def behind_lag(u, lag):
+    """Means of the output of a first-order lag over all fine steps, shape (n, FINE)."""
+    decay = np.exp(-DT / FINE / lag)
+    state = 0.0
+    means = []
+    for command in np.repeat(u, FINE):
+        means.append(command + (state - command) * (1.0 - decay) * lag * FINE / DT)
+        state = command + (state - command) * decay
+    return np.reshape(means, (len(u), FINE))
+
+
+@pytest.mark.parametrize("begin", [0.0, 2.61, 5.0])
+def test_a_wind_acts_behind_the_actuator(begin):
+    """Before a lag of 0.1 s, a force has to begin 0.1 s earlier, and a steady one leaves more than noise."""
+    lag, size = 0.1, 0.3
+    u = commands_of(8)
+    wind = size / K_P * (DT / FINE * np.arange(FINE * len(u)) > begin - 1e-9)
+    y = flown(no_force, 8, behind_lag(u, lag) + wind.reshape(len(u), FINE))
+    lagging = linear(unmodelled={"kind": "lag", "order": 1, "mu": lag})
+    try:
+        text = "".join(doubt.text for doubt in told(fit_log(lagging, log_of(y, u))))
+    except Unexplained as refused:
+        text = str(refused)
+    assert float(text.split("onstant force (")[1].split()[0]) == pytest.approx(size / K_P, rel=0.02)
+    assert "resemble" not in text
+    if begin > 0.0:
+        time, deviation = (float(word) for word in re.findall(r"begins at (\S+) ± (\S+) s of the study", text)[0])
+        assert abs(time - begin) < 4.0 * deviation
+        assert deviation < 0.01

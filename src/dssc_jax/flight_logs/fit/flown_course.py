@@ -32,8 +32,8 @@ def flown(problem: FitProblem, minimum: Minimum) -> Flight:
     return flown_with(problem, minimum.x, problem.log.commands)
 
 
-def flown_with(problem: FitProblem, x: np.ndarray, commands: np.ndarray) -> Flight:
-    """The flight at coordinates of a problem of one channel, by the speed that certain commands give.
+def flown_with(problem: FitProblem, x: np.ndarray, commands: np.ndarray, forces: np.ndarray | None = None) -> Flight:
+    """The flight at coordinates of a problem of one channel, by the speed that certain commands and forces give.
 
     The speed is that of the predicted output, and of the residual where this is more than noise: gusts that the study
     declares move the vehicle, too.
@@ -41,11 +41,12 @@ def flown_with(problem: FitProblem, x: np.ndarray, commands: np.ndarray) -> Flig
     Args:
         problem: The problem.
         x: The coordinates, shape (p,).
-        commands: The commands that the plant gets, shape (1, samples).
+        commands: The commands, shape (1, samples).
+        forces: Forces beside the study's disturbance, shape (samples,) [u]; None: there are none.
     """
     sample_time = problem.study.loop.sample_time
     (readings,) = problem.readings
-    predicted, _ = problem.predict(problem.values(x), commands)
+    predicted, _ = problem.predict(problem.values(x), commands, forces)
     output = predicted[readings.channel]
     speed = np.gradient(output, sample_time)
     residual = readings.values - readings.interpolate(output)

@@ -149,7 +149,7 @@ def choices_of(channels: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 def replace_prediction(problem: FitProblem, prediction: tuple[np.ndarray, np.ndarray]) -> FitProblem:
     """Replace the prediction of a problem by one result, whatever the numbers; returns the problem."""
-    problem.predict = lambda values, commands: prediction
+    problem.predict = lambda values, commands, forces=None: prediction
     return problem
 
 

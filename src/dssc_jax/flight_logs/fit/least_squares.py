@@ -168,13 +168,18 @@ class FitProblem:
         """Whether a number is far outside of its law at coordinates."""
         return bool(np.any(self.beyond_laws(x) > FAR_OUTSIDE))
 
-    def columns(self, x: np.ndarray, commands: np.ndarray | None = None) -> list[np.ndarray]:
+    def columns(
+        self, x: np.ndarray, commands: np.ndarray | None = None, forces: np.ndarray | None = None
+    ) -> list[np.ndarray]:
         """Residual r and slopes J at coordinates, for each channel with readings, shape (n, 1 + p).
 
-        The commands are those of the log, or others.
+        Args:
+            x: The coordinates, shape (p,).
+            commands: Commands in place of those of the log, shape (channels, samples); None: those of the log.
+            forces: Forces beside the study's disturbance, shape (samples,) [u]; None: there are none.
         """
         values = self.values(x)
-        predicted, slopes = self.predict(values, self.log.commands if commands is None else commands)
+        predicted, slopes = self.predict(values, self.log.commands if commands is None else commands, forces)
         chain = self.widths * [value if law.logarithmic else 1.0 for law, value in zip(self.laws, values, strict=True)]
         columns = []
         for readings in self.readings:

@@ -1,6 +1,7 @@
 """The table of parts that a study of one channel may lack, each of one number: forces, parts of an actuator, gains.
 
-Each part changes the commands that the study's plant gets. The size 0 of the number, or its absence, is the study.
+Each part changes the commands that the study's plant gets, or acts as a force behind its actuator. The size 0 of the
+number, or its absence, is the study.
 
 References:
     L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), section 16.4: comparison of model structures.
@@ -50,12 +51,14 @@ class Part(NamedTuple):
             and ``{command}`` to be filled in.
         remedy: What to do.
         actuator: Its model, if it is one of an actuator.
-        commands: (Flight, size) -> commands that a plant with the part gets, shape (n,).
+        commands: (Flight, size) -> commands that a plant with the part gets, before the study's actuator, shape (n,).
         sizes: Flight -> first sizes.
         is_positive: Whether only positive sizes are possible, whose logarithms are fitted.
         is_possible: (Flight, size) -> whether the size means something on this flight.
         choices: Number of such parts of which it is the likeliest.
-        has_speed: Whether its commands depend on the speed of the flight.
+        forces: (Flight, size) -> forces that act on a plant with the part beside the actuator's output, shape (n,);
+            None: it is no force.
+        has_speed: Whether its forces depend on the speed of the flight.
         outputs: (Series, samples) -> what the log has of a predicted output for a size in samples, shape (..., n);
             None: the output itself.
     """
@@ -69,6 +72,7 @@ class Part(NamedTuple):
     is_positive: bool
     is_possible: Callable[[Flight, float], bool]
     choices: int = 1
+    forces: Callable[[Flight, float], np.ndarray] | None = None
     has_speed: bool = False
     outputs: Callable[[np.ndarray, float], np.ndarray] | None = None
 
@@ -83,19 +87,19 @@ def friction(speed: np.ndarray) -> np.ndarray:
     return -speed / np.hypot(speed, REST * float(np.abs(speed).max()) + TINY)
 
 
-def dragged(flight: Flight, size: float) -> np.ndarray:
-    """Commands with quadratic drag, whose size is that at a speed of 1."""
-    return flight.commands + size * quadratic_drag(flight.speed)
+def drag_forces(flight: Flight, size: float) -> np.ndarray:
+    """Quadratic drag, whose size is that at a speed of 1."""
+    return size * quadratic_drag(flight.speed)
 
 
-def rubbed(flight: Flight, size: float) -> np.ndarray:
-    """Commands with friction of a size."""
-    return flight.commands + size * friction(flight.speed)
+def friction_forces(flight: Flight, size: float) -> np.ndarray:
+    """Friction of a size."""
+    return size * friction(flight.speed)
 
 
-def pushed(flight: Flight, size: float) -> np.ndarray:
-    """Commands beside a constant force of a size."""
-    return flight.commands + size
+def constant_forces(flight: Flight, size: float) -> np.ndarray:
+    """A constant force of a size."""
+    return np.full(len(flight.commands), size)
 
 
 def behind(model: Unmodelled) -> Callable[[Flight, float], np.ndarray]:
@@ -114,7 +118,7 @@ def late(flight: Flight, size: float) -> np.ndarray:
 
 
 def on_time(flight: Flight, size: float) -> np.ndarray:
-    """The commands themselves, of a log whose outputs are late or filtered."""
+    """The commands themselves, beside a force, or of a log whose outputs are late or filtered."""
     return flight.commands
 
 
@@ -247,10 +251,11 @@ FRICTION = Part(
     words="a force against the speed of constant size (friction, {size:.3g} ± {deviation:.2g} {command}{acceleration})",
     remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
     actuator=None,
-    commands=rubbed,
+    commands=on_time,
     sizes=force_sizes,
     is_positive=False,
     is_possible=is_against,
+    forces=friction_forces,
     has_speed=True,
 )
 
@@ -259,10 +264,11 @@ STEADY_WIND = Part(
     words="a constant force ({size:.3g} {command}, as of a steady wind)",
     remedy='Give the study that force with a law (disturbance, kind = "constant")',
     actuator=None,
-    commands=pushed,
+    commands=on_time,
     sizes=force_sizes,
     is_positive=False,
     is_possible=is_any,
+    forces=constant_forces,
 )
 
 ACTUATOR_LAG = actuator_part(
@@ -293,10 +299,11 @@ PARTS = (
         "{command} at 1 {output}/s{acceleration})",
         remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
         actuator=None,
-        commands=dragged,
+        commands=on_time,
         sizes=drag_sizes,
         is_positive=False,
         is_possible=is_against,
+        forces=drag_forces,
         has_speed=True,
     ),
     FRICTION,

@@ -143,7 +143,7 @@ class PartProblem:
         """Residual and slopes by the numbers at a point, shape (n, 1 + p)."""
         problem = copy(self.problem)
         problem.predict = self.prediction(point)
-        (columns,) = problem.columns(point.x, self.commands(point))
+        (columns,) = problem.columns(point.x, self.commands(point), self.forces(point))
         return columns
 
     def prediction(self, point: PartPoint) -> Prediction:
@@ -153,9 +153,11 @@ class PartProblem:
             return self.problem.predict
         samples = self.size(point) / self.flight.sample_time
 
-        def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def predict(
+            values: np.ndarray, commands: np.ndarray, forces: np.ndarray | None = None
+        ) -> tuple[np.ndarray, np.ndarray]:
             """The prediction, as the log has it."""
-            predicted, slopes = self.problem.predict(values, commands)
+            predicted, slopes = self.problem.predict(values, commands, forces)
             return shown(predicted, samples), shown(slopes, samples)
 
         return predict
@@ -163,6 +165,10 @@ class PartProblem:
     def commands(self, point: PartPoint) -> np.ndarray:
         """The commands that a plant with the part gets, shape (1, samples)."""
         return self.part.commands(self.flight, self.size(point))[None, :]
+
+    def forces(self, point: PartPoint) -> np.ndarray | None:
+        """The forces on a plant with the part, shape (samples,) [u]; None: the part is no force."""
+        return None if self.part.forces is None else self.part.forces(self.flight, self.size(point))
 
     def products(self, noise: Noise, columns: np.ndarray) -> np.ndarray:
         """Weighted products of columns."""

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ import numpy as np
 from dssc_jax.closed_loop.control import near_reference
 from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.sample import LoopState, held_between_samples, step
-from dssc_jax.core.contracts import Controller
+from dssc_jax.core.contracts import Controller, Disturbance
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, Scalar
 from dssc_jax.engine import kernels
@@ -29,14 +29,41 @@ RANDOM = ("std", "turbulence")
 REPLICATES = 64  # simulations of random disturbances
 NO_NUMBERS: Mapping[str, float] = MappingProxyType({})
 
-Outputs: TypeAlias = Callable[[Sequence[Scalar], jax.Array, jax.Array | int], tuple[Scalar, ...]]
-"""(Values of the numbers; commands, shape (channels, samples); index of the draw) -> outputs of each channel, shape
-(samples,)."""
+Outputs: TypeAlias = Callable[..., tuple[Scalar, ...]]
+"""(Values of the numbers; commands, shape (channels, samples); index of the draw; forces, shape (samples,), or None) ->
+outputs of each channel, shape (samples,)."""
 
-Prediction: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""(Values of the numbers, shape (n,); commands, shape (channels, samples)) -> output of each channel, shape
-(channels, samples), and its derivative by each number, shape (n, channels, samples). Further numbers, as far as there
-are any, have the study's values where they are left out."""
+
+class Prediction(Protocol):
+    """The predicted output and its derivatives."""
+
+    def __call__(
+        self, values: np.ndarray, commands: np.ndarray, forces: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The output of each channel, shape (channels, samples), and its derivatives, shape (n, channels, samples).
+
+        Args:
+            values: Values of the n numbers. Further numbers, as far as there are any, have the study's values where
+                they are left out.
+            commands: Commands before the actuators, shape (channels, samples).
+            forces: Further disturbances of a plant of one channel, each held over a sample, shape (samples,) [u]; None:
+                there are none.
+        """
+        ...
+
+
+class PushedState(NamedTuple):
+    """State of a disturbance beside which a force acts.
+
+    Args:
+        disturbance: State of the disturbance.
+        sample: Number of the next sample.
+        force: The force over the present sample [u].
+    """
+
+    disturbance: Any
+    sample: Scalar
+    force: Scalar
 
 
 def playback(controller: Controller, commands: jax.Array) -> Controller:
@@ -51,6 +78,22 @@ def playback(controller: Controller, commands: jax.Array) -> Controller:
         return sample + 1.0, Command(commands[sample.astype(jnp.int32)], jnp.zeros(())), ()
 
     return controller._replace(init=first_sample, step=logged_command)
+
+
+def pushed(disturbance: Disturbance, forces: jax.Array) -> Disturbance:
+    """A disturbance and a force beside it, which is held over each sample, shape (samples,)."""
+
+    def init(params: Params, key: jax.Array) -> PushedState:
+        return PushedState(disturbance.init(params, key), jnp.zeros(()), jnp.zeros(()))
+
+    def sample(params: Params, state: PushedState, key: jax.Array, t: Scalar, dt: Scalar) -> PushedState:
+        next_state = disturbance.step(params, state.disturbance, key, t, dt)
+        return PushedState(next_state, state.sample + 1.0, forces[jnp.asarray(state.sample).astype(jnp.int32)])
+
+    def value(params: Params, state: PushedState, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
+        return disturbance.value(params, state.disturbance, measurement, sigma, t) + state.force
+
+    return disturbance._replace(init=init, step=sample, value=value)
 
 
 def quiet_values(study: Study) -> dict[str, float]:
@@ -81,16 +124,22 @@ def simulated_outputs(
 
     require_steps_in_any_order(study, "the prediction of a logged flight")
 
-    def outputs(values: Sequence[Scalar], commands: jax.Array, index: jax.Array | int) -> tuple[Scalar, ...]:
+    def outputs(
+        values: Sequence[Scalar], commands: jax.Array, index: jax.Array | int, forces: jax.Array | None = None
+    ) -> tuple[Scalar, ...]:
         """The readings of each channel at all samples, with the logged commands in place of the controllers'.
 
         Args:
             values: The numbers ``names``.
             commands: Logged commands, shape (channels, samples).
             index: Index of the draw, which selects its noise.
+            forces: Further disturbances of the only channel, shape (samples,); None: there are none.
         """
         controllers = [playback(*pair) for pair in zip(study.loop.controller, commands, strict=True)]
         loop = replace(study.loop, settled=None, sensor=channel_sensors, controller=tuple(controllers))
+        if forces is not None:
+            (disturbance,) = loop.disturbance
+            loop = replace(loop, disturbance=(pushed(disturbance, forces),))
         params = study.params({**fixed, **dict(zip(names, values, strict=True))})
         key = draw_key(study.config.seed, index)
         advance = held_between_samples(loop, params)
@@ -129,18 +178,21 @@ def prediction(
         return prediction_by_lanes(study, names, samples, presets)
     outputs = simulated_outputs(study, names, samples, quiet_values(study), sensors=False)
 
-    def with_slopes(values: jax.Array, commands: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def with_slopes(values: jax.Array, commands: jax.Array, forces: jax.Array) -> tuple[jax.Array, jax.Array]:
         def slope(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
-            return jax.jvp(lambda x: jnp.stack(outputs(list(x), commands, 0)), (values,), (direction,))
+            return jax.jvp(lambda x: jnp.stack(outputs(list(x), commands, 0, forces)), (values,), (direction,))
 
         predicted, slopes = jax.vmap(slope)(jnp.eye(len(names)))
         return predicted[0], slopes
 
     compiled = jax.jit(with_slopes)
 
-    def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def predict(
+        values: np.ndarray, commands: np.ndarray, forces: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        acting = np.zeros(samples) if forces is None else np.asarray(forces, float)
         with arithmetic(study.config.loop.precision):
-            predicted, slopes = compiled(np.asarray(values, float), np.asarray(commands, float))
+            predicted, slopes = compiled(np.asarray(values, float), np.asarray(commands, float), acting)
             return np.asarray(predicted, float), np.asarray(slopes, float)
 
     return predict
@@ -168,7 +220,10 @@ def prediction_by_lanes(
 
         return kernels.compile_batches(kernels.requested_form(), lane, [*names, DIRECTION], len(names), None, None)
 
-    def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def predict(
+        values: np.ndarray, commands: np.ndarray, forces: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        assert forces is None  # of plants of one channel only
         with arithmetic(study.config.loop.precision):
             key = commands.tobytes()
             if key not in programs:

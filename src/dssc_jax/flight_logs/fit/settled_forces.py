@@ -14,18 +14,18 @@ from dssc_jax.flight_logs.fit.part_fits import STRONG_EVIDENCE, FitWithoutPart, 
 ROUNDS = 3  # of fits with a force against the speed, each at the speed of the one before
 
 
-def stuck(flight: Flight, size: float) -> np.ndarray:
-    """Commands with friction of a size, which holds the vehicle at rest against smaller commands."""
+def sticking_forces(flight: Flight, size: float) -> np.ndarray:
+    """Friction of a size, which holds the vehicle at rest against smaller commands, shape (n,)."""
     rest = REST * float(np.abs(flight.speed).max()) + TINY
     at_rest = np.exp(-((flight.speed / rest) ** 2))
     held = np.clip(flight.commands, -size, size)
-    return flight.commands - at_rest * held - (1.0 - at_rest) * size * np.sign(flight.speed)
+    return -at_rest * held - (1.0 - at_rest) * size * np.sign(flight.speed)
 
 
 STICKING = FRICTION._replace(
     words="a force against the speed of constant size, which also holds at rest (friction, perhaps with sticking, "
     "{size:.3g} ± {deviation:.2g} {command}{acceleration})",
-    commands=stuck,
+    forces=sticking_forces,
 )
 
 
@@ -51,7 +51,8 @@ def settled(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: P
 def settled_fit(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:
     """The fit of one force at the speed that it leaves; arguments as of :func:`settled`."""
     for _ in range(ROUNDS if fit.part.has_speed else 0):
-        flight = flown_with(problem, fit.x, fit.part.commands(flight, fit.size)[None, :])
+        forces = None if fit.part.forces is None else fit.part.forces(flight, fit.size)
+        flight = flown_with(problem, fit.x, fit.part.commands(flight, fit.size)[None, :], forces)
         again = fitted_part(problem, without, flight, fit.part)
         if again is None or again.gain <= fit.gain:
             break

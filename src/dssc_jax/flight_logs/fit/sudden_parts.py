@@ -20,7 +20,7 @@ import numpy as np
 
 from dssc_jax.flight_logs.fit.flown_course import Flight
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
-from dssc_jax.flight_logs.fit.missing_parts import Part, fading_sizes, force_sizes, is_any, is_moderate
+from dssc_jax.flight_logs.fit.missing_parts import Part, fading_sizes, force_sizes, is_any, is_moderate, on_time
 from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, PartPoint, PartProblem, fitted_part
 from dssc_jax.flight_logs.fit.shifts import linear_cost
 from dssc_jax.flight_logs.signal_warnings import WarningCode
@@ -45,7 +45,9 @@ class SuddenPart(NamedTuple):
         code: Code of its warning.
         words: What it is, as of :class:`~dssc_jax.flight_logs.fit.missing_parts.Part`; the time follows.
         remedy: What to do, with ``{lower}`` and ``{upper}``, between which the time lies [s].
-        commands: (Samples up to the moment, flight, size) -> commands that a plant with the part gets, shape (n,).
+        commands: (Samples up to the moment, flight, size) -> commands that a plant with the part gets, shape (n,);
+            None: those of the flight.
+        forces: Likewise, the forces that act on it beside the actuator's output; None: it is no force.
         sizes: Flight -> first sizes.
         is_possible: (Flight, size) -> whether the size means something on this flight.
     """
@@ -53,7 +55,8 @@ class SuddenPart(NamedTuple):
     code: WarningCode
     words: str
     remedy: str
-    commands: Callable[[float, Flight, float], np.ndarray]
+    commands: Callable[[float, Flight, float], np.ndarray] | None
+    forces: Callable[[float, Flight, float], np.ndarray] | None
     sizes: Callable[[Flight], tuple[float, ...]]
     is_possible: Callable[[Flight, float], bool]
 
@@ -68,9 +71,9 @@ def share_after(begin: float, flight: Flight) -> np.ndarray:
     return np.clip(np.arange(1, len(flight.commands) + 1) - begin, 0.0, 1.0)
 
 
-def pushed_from(begin: float, flight: Flight, size: float) -> np.ndarray:
-    """Commands beside a constant force of a size that begins at a moment, counted in samples."""
-    return flight.commands + size * share_after(begin, flight)
+def force_from(begin: float, flight: Flight, size: float) -> np.ndarray:
+    """A constant force of a size that begins at a moment, counted in samples."""
+    return size * share_after(begin, flight)
 
 
 def weakened_from(begin: float, flight: Flight, size: float) -> np.ndarray:
@@ -83,7 +86,8 @@ WIND_STEP = SuddenPart(
     words="a constant force ({size:.3g} {command}, as of a wind) that begins at",
     remedy='Give the study that force (disturbance, kind = "step") with laws of its value and of its time, such as '
     "at = {{ uniform = [{lower:.6g}, {upper:.6g}] }}, or fit the part before or after",
-    commands=pushed_from,
+    commands=None,
+    forces=force_from,
     sizes=force_sizes,
     is_possible=is_any,
 )
@@ -93,6 +97,7 @@ GAIN_STEP = SuddenPart(
     remedy="Fit the part that ends before {lower:.4g} s or the one that begins after {upper:.4g} s, or log the command "
     "times the gain",
     commands=weakened_from,
+    forces=None,
     sizes=fading_sizes,
     is_possible=is_moderate,
 )
@@ -250,11 +255,12 @@ def part_from(sudden: SuddenPart, begin: float, choices: int) -> Part:
         words=sudden.words,
         remedy=sudden.remedy,
         actuator=None,
-        commands=partial(sudden.commands, begin),
+        commands=on_time if sudden.commands is None else partial(sudden.commands, begin),
         sizes=sudden.sizes,
         is_positive=False,
         is_possible=sudden.is_possible,
         choices=choices,
+        forces=None if sudden.forces is None else partial(sudden.forces, begin),
     )
 
 
@@ -298,7 +304,9 @@ def costs_by_begin(
     (size,) = sudden.sizes(flight)
     slopes = []
     for begin in begins.tolist():
-        (moved,) = problem.columns(x, sudden.commands(begin, flight, size)[None, :])
+        part = part_from(sudden, begin, choices=1)
+        forces = None if part.forces is None else part.forces(flight, size)
+        (moved,) = problem.columns(x, part.commands(flight, size)[None, :], forces)
         slopes.append((columns[:, 0] - moved[:, 0]) / size)
     extended = np.column_stack([columns, *slopes])
     if not np.isfinite(extended).all():
