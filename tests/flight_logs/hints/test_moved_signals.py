@@ -5,7 +5,7 @@ import pytest
 
 from dssc_jax.flight_logs.hints.moved_signals import moved
 from dssc_jax.flight_logs.replay import replay_log
-from tests.flight_logs.hints.test_replayed_columns import GAINS, PULSES, flown, log_of, study
+from tests.flight_logs.hints.test_replayed_columns import GAINS, PULSES, TIME, flown, flown_by_error, log_of, study
 
 assert study  # the fixture
 
@@ -40,6 +40,15 @@ def test_the_time_of_the_output_is_found(study, shift, words):
     assert code == "shifted-output"
     assert text.startswith(f"y is not what the controller got at that time: with one {words} the analysed controller")
     assert "u_total" not in warnings
+
+
+def test_the_time_of_the_output_is_found_beside_another_reference(study):
+    """The replay takes the logged reference, which is not the study's."""
+    by_error, columns = flown_by_error(study)
+    columns["y_ref"] = 3.0 * np.sin(0.7 * TIME)
+    columns["y"] = columns["y_ref"] - columns["u_total"]
+    assert "y" not in told_of(by_error, columns)
+    assert told_of(by_error, {**columns, "y": moved(columns["y"], 10)})["y"][0] == "shifted-output"
 
 
 def test_other_faults_are_no_moved_references(study):

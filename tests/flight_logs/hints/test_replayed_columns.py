@@ -125,6 +125,13 @@ def test_an_error_in_place_of_the_output_is_named(study, sign, words):
     assert words in text
 
 
+def test_an_output_and_its_rate_with_the_opposite_sign_are_named_together(study):
+    columns = flown()
+    codes, text = told(study, {**columns, "y": -columns["y"], "y_dot": -columns["y_dot"]})
+    assert codes == {"y": "another-unit"}
+    assert text.startswith("y has the opposite sign, as has y_dot: with that, the analysed controller gives")
+
+
 @pytest.mark.parametrize("name", ["y", "u_total"])
 def test_an_opposite_sign_is_named_without_a_rate(study, name):
     """A controller of the error alone gives the opposite command, too, where y and y_ref are exchanged."""

@@ -219,6 +219,9 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
     is_explained = False
     if not causes:
         causes, is_explained = refusal_causes(problem, best, results)
+    if not is_explained:
+        count = len(problem.fitted)
+        causes = (*causes, *command_doubts(problem, np.zeros((0, count)), np.ones(count)), *held_doubts(problem.log))
     hint = "" if is_explained else conversion_hint(problem, best.x, place)
     advice = advice_text(problem.study, hint, causes)
     raise Unexplained(f"{refusal_text(problem, best.x, place, results[place])}{advice}", causes)

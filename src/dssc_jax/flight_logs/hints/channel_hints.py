@@ -175,8 +175,9 @@ def add_command_hints(
     elif scaled is not None:
         hints.factors[y] = scaled.hint
         command = scaled.command
-    elif not has_wrong_output and y_ref not in hints.shifts and y_ref not in hints.others:
-        reference = moved_reference(replay, signals, command)
+    elif not has_wrong_output:
+        is_reference_told = y_ref in hints.shifts or y_ref in hints.others
+        reference = None if is_reference_told else moved_reference(replay, signals, command)
         output = moved_output(replay, signals, command) if reference is None else None
         if reference is not None:
             hints.shifts[y_ref] = reference.hint

@@ -111,7 +111,7 @@ def best_columns(
 
 
 def opposite_signs(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> Iterator[OtherColumns]:
-    """The hypotheses that a command, or an output, has the opposite sign."""
+    """The hypotheses that a command, an output, or an output and its derivative have the opposite sign."""
     channel = replay.study.loop.channels[replay.index]
     for name in SIGNS:
         if name in logged:
@@ -119,6 +119,9 @@ def opposite_signs(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> I
             if name == "u_total" and not np.any(reference_of(replay, logged)):
                 text += f", or {signal_name(channel, 'y')} has"  # a controller of y alone does not tell which
             yield OtherColumns(name, text, {**logged, name: -logged[name]})
+    if "y" in logged and "y_dot" in logged:
+        text = f"has the opposite sign, as has {signal_name(channel, 'y_dot')}"
+        yield OtherColumns("y", text, {**logged, "y": -logged["y"], "y_dot": -logged["y_dot"]})
 
 
 def reference_of(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> np.ndarray:
