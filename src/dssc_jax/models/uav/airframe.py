@@ -14,7 +14,9 @@ from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
+from dssc_jax.models.uav.airframe_names import misspelt_names, require_multirotor
 from dssc_jax.models.uav.airframe_properties import (
+    SIMULATION_PARAMETERS,
     drop_torque_of_single_rotors,
     properties_of,
     require_sizes,
@@ -22,6 +24,7 @@ from dssc_jax.models.uav.airframe_properties import (
     with_stated_sizes,
 )
 from dssc_jax.models.uav.airframe_rotors import (
+    ROTOR_PARAMETERS,
     are_ratios,
     flying_vehicle,
     geometry_of,
@@ -62,10 +65,29 @@ OUTER_GAINS = ("MPC_XY_P", "MPC_Z_P", "MC_YAW_P")
 """Gains of position and yaw, which belong to the controllers outside of the vehicle."""
 LOOP_RATE = "IMU_GYRO_RATEMAX"
 """Rate of PX4's attitude and rate loops [Hz]."""
-LIMITS = ("THR_MDL_FAC", "MPC_XY_VEL_MAX", "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN", "MPC_XY_CRUISE", "MPC_YAWRAUTO_MAX")
+LIMITS = (
+    "THR_MDL_FAC",
+    "MPC_XY_VEL_MAX",
+    "MPC_Z_VEL_MAX_UP",
+    "MPC_Z_VEL_MAX_DN",
+    "MPC_XY_CRUISE",
+    "MPC_YAWRAUTO_MAX",
+    "MC_YAWRAUTO_MAX",  # the same in earlier versions of PX4
+)
 """Parameters that shape a flight but have no field in ``[plant]``; the velocity limits belong to a controller."""
 CASCADE_LIMITS = (LOOP_RATE, "MPC_TILTMAX_AIR", "MPC_THR_MIN", "MPC_THR_MAX", "MPC_THR_XY_MARG", "IMU_GYRO_CUTOFF")
 """Parameters that only PX4's cascade uses."""
+
+READ = (
+    *ROTOR_PARAMETERS,
+    *SIMULATION_PARAMETERS,
+    *ARTICLE_PARAMETERS,
+    *CASCADE_PARAMETERS,
+    *OUTER_GAINS,
+    *LIMITS,
+    *CASCADE_LIMITS,
+)
+"""All parameters that are read."""
 
 
 class Airframe(NamedTuple):
@@ -75,7 +97,7 @@ class Airframe(NamedTuple):
         vehicle: The table ``[plant.vehicle]``.
         notes: What the file does not give, or gives in another form than the model needs.
         plant: The other entries of ``[plant]``: desaturation and gains of the inner loops.
-        warnings: Numbers outside of the usual range of multirotors.
+        warnings: Numbers outside of the usual range of multirotors, and names of parameters that are misspelt.
     """
 
     vehicle: TomlTable
@@ -203,6 +225,38 @@ def control_entries(parameters: Mapping[str, float], notes: list[str], use_px4_c
     return control | {"inner_loop": gains} if gains else control
 
 
+def airframe_of(
+    parameters: dict[str, float],
+    mass: float | None,
+    arm: float | None,
+    use_px4_cascade: bool,
+    hover_speed: float | None,
+) -> Airframe:
+    """The study's tables for PX4's parameters by name, without a check of the names; see :func:`read_airframe`.
+
+    Raises:
+        ConfigError: The file gives no mass, or describes something that the model cannot represent.
+    """
+    notes: list[str] = []
+    parameters = with_simulation_defaults(parameters, notes)
+    parameters = with_stated_sizes(parameters, mass, arm, notes)
+    rotors = placed_rotors(parameters)
+    require_sizes(rotors, parameters)
+    if arm is not None or are_ratios(rotors):
+        rotors = in_metres(rotors, parameters)
+        notes.append("positions are ratios, and became metres by the stated length, or SIH_L_PITCH and SIH_L_ROLL")
+    geometry = geometry_of(rotors)
+    vehicle: TomlTable = {"kind": "m600_quadrotor"} | geometry | properties_of(parameters, geometry, hover_speed, notes)
+    if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
+        drop_torque_of_single_rotors(vehicle)
+    warnings = implausible(flying_vehicle(vehicle, parameters), vehicle)
+    control = control_entries(parameters, notes, use_px4_cascade)
+    note_unmatched_gains(parameters, CASCADE_PARAMETERS if use_px4_cascade else ARTICLE_PARAMETERS, notes)
+    note_unused_limits(parameters, use_px4_cascade, notes)
+    warnings += missing_coordinates(parameters)
+    return Airframe(vehicle, tuple(notes), control, tuple(warnings))
+
+
 def read_airframe(
     text_or_parameters: str | Mapping[str, float],
     mass: float | None = None,
@@ -226,26 +280,16 @@ def read_airframe(
     Raises:
         ConfigError: The file gives no mass, or describes something that the model cannot represent.
     """
-    parameters = parameters_in(text_or_parameters) if isinstance(text_or_parameters, str) else dict(text_or_parameters)
+    text = text_or_parameters if isinstance(text_or_parameters, str) else ""
+    require_multirotor(text)
+    parameters = dict(parameters_in(text) if isinstance(text_or_parameters, str) else text_or_parameters)
     require_finite(parameters)
     if not any(name.startswith("CA_") for name in parameters):
-        is_mixer_file = isinstance(text_or_parameters, str) and MIXER.search(text_or_parameters) is not None
+        is_mixer_file = MIXER.search(text) is not None
         raise ConfigError("", f"sets no parameter CA_..; {MIXER_REMEDY if is_mixer_file else FILE_REMEDY}")
-    notes: list[str] = []
-    parameters = with_simulation_defaults(parameters, notes)
-    parameters = with_stated_sizes(parameters, mass, arm, notes)
-    rotors = placed_rotors(parameters)
-    require_sizes(rotors, parameters)
-    if arm is not None or are_ratios(rotors):
-        rotors = in_metres(rotors, parameters)
-        notes.append("positions are ratios, and became metres by the stated length, or SIH_L_PITCH and SIH_L_ROLL")
-    geometry = geometry_of(rotors)
-    vehicle: TomlTable = {"kind": "m600_quadrotor"} | geometry | properties_of(parameters, geometry, hover_speed, notes)
-    if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
-        drop_torque_of_single_rotors(vehicle)
-    warnings = implausible(flying_vehicle(vehicle, parameters), vehicle)
-    control = control_entries(parameters, notes, use_px4_cascade)
-    note_unmatched_gains(parameters, CASCADE_PARAMETERS if use_px4_cascade else ARTICLE_PARAMETERS, notes)
-    note_unused_limits(parameters, use_px4_cascade, notes)
-    warnings += missing_coordinates(parameters)
-    return Airframe(vehicle, tuple(notes), control, tuple(warnings))
+    misspelt = misspelt_names(parameters, READ)
+    try:
+        airframe = airframe_of(parameters, mass, arm, use_px4_cascade, hover_speed)
+    except ConfigError as error:
+        raise ConfigError(error.where, "; ".join((error.rule, *misspelt))) from None
+    return airframe._replace(warnings=(*airframe.warnings, *misspelt))

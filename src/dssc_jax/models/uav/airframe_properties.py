@@ -3,13 +3,13 @@
 :mod:`dssc_jax.models.uav.airframe` names the sources.
 """
 
-import difflib
-import math
 from collections.abc import Mapping
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.models.uav.airframe_rotors import PlacedRotor, are_ratios
+from dssc_jax.models.uav.airframe_rotors import PlacedRotor, are_ratios, errors_in_px4_names, vehicle_of
+from dssc_jax.models.uav.allocation import pseudo_inverse
+from dssc_jax.models.uav.desaturation import rotors_of_full_thrust
 from dssc_jax.models.uav.vehicle import GRAVITY, RotorCoefficients
 
 INERTIA = ("SIH_IXX", "SIH_IYY", "SIH_IZZ")
@@ -33,8 +33,8 @@ GYRATION = (0.45, 0.45, 0.6)
 """Radii of gyration over the arm: means of the package's vehicles with sources, which differ by a third."""
 HOVER_SPEED = 500.0
 """Nominal rotor speed in hover [rad/s], where the true one is not known: PX4's parameters contain none."""
-MISSPELT = 0.85
-"""Similarity from which on a name counts as a misspelt SIH_MASS; another parameter's, SIH_T_MAX, has 0.71."""
+SIMULATION_PARAMETERS = ("SIH_VEHICLE_TYPE", *SIH_DEFAULTS, *PRODUCTS, "MPC_THR_HOVER")
+"""Parameters that are read here."""
 
 
 def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> None:
@@ -47,10 +47,7 @@ def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) ->
         raise ConfigError("SIH_MASS", f"must be > 0, got {parameters['SIH_MASS']:g} kg")
     missing = []
     if "SIH_MASS" not in parameters:
-        similar = difflib.get_close_matches("SIH_MASS", list(parameters), n=1, cutoff=MISSPELT)
-        misspelt = f", but {similar[0]}: correct the name" if similar else ""
-        remedy = "or give it with --mass KG" if similar else "give it with --mass KG"
-        missing.append(f"the file does not set SIH_MASS, the mass{misspelt}; {remedy}")
+        missing.append("the file does not set SIH_MASS, the mass; give it with --mass KG")
     if are_ratios(rotors) and not ("SIH_L_ROLL" in parameters and "SIH_L_PITCH" in parameters):
         missing.append("positions are ratios of a generic airframe, not metres; give what they are ratios of, --arm M")
     if missing:
@@ -96,13 +93,15 @@ def rotors_of(geometry: TomlTable) -> int:
     return len(geometry.get("rotor") or geometry["spins"])
 
 
-def hover_thrust(mass: float, geometry: TomlTable) -> float:
-    """Compute the thrust of each rotor in hover [N], for a mass [kg]; tilted rotors push more than they lift."""
-    upward = 0.0  # sum of the axes' vertical parts; only tilted rotors have entries of their axes
-    for entry in geometry.get("rotor", []):
-        if "axis" in entry:
-            upward += entry["axis"][2] / math.hypot(*entry["axis"])
-    return mass * GRAVITY / (upward if upward > 0.0 else rotors_of(geometry))
+def hover_thrust(parameters: Mapping[str, float], geometry: TomlTable) -> float:
+    """Compute the mean thrust of the rotors in hover [N]; tilted rotors push more than they lift.
+
+    Raises:
+        ConfigError: The rotors cannot command all axes.
+    """
+    with errors_in_px4_names(parameters):
+        allocation = pseudo_inverse(vehicle_of(geometry))
+    return parameters["SIH_MASS"] * GRAVITY / rotors_of_full_thrust(allocation)
 
 
 def drag_entries(parameters: Mapping[str, float], speeds: float, notes: list[str]) -> TomlTable:
@@ -168,10 +167,10 @@ def properties_of(
         notes: The list to which notes are added.
 
     Raises:
-        ConfigError: MPC_THR_HOVER is not in (0, 1].
+        ConfigError: MPC_THR_HOVER is not in (0, 1], or the rotors cannot command all axes.
     """
     mass = parameters["SIH_MASS"]
-    lift = hover_thrust(mass, geometry)
+    lift = hover_thrust(parameters, geometry)
     properties: TomlTable = {"mass": mass, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
     properties["body_inertia"] = body_inertia(parameters, geometry["arm"], notes)
     properties |= coefficient_entries(parameters, lift, hover_speed, notes)

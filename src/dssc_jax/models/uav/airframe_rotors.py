@@ -5,7 +5,8 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
@@ -31,6 +32,14 @@ REFUSED = {
     "CA_SV_TL_COUNT": "has servos that tilt rotors, and a rotor of the model is fixed",
 }
 """Parameters that must be 0, because the model lacks what they describe, with the reason for the message."""
+
+ROTOR_PARAMETERS = (
+    "CA_AIRFRAME",
+    "CA_ROTOR_COUNT",
+    *REFUSED,
+    *(f"CA_ROTOR{i}_{part}" for i in range(MOST_ROTORS) for part in ("PX", "PY", "PZ", "AX", "AY", "AZ", "KM", "CT")),
+)
+"""Parameters that are read here."""
 
 PX4_NAMES = {
     "spins": "CA_ROTORi_KM",
@@ -151,6 +160,29 @@ def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
     return {"arm": arm, "torque_coefficient": mean_moment, "rotor": rotor_entries}
 
 
+def vehicle_of(table: TomlTable) -> Vehicle:
+    """The vehicle of the table ``[plant.vehicle]``, or of some of its entries; the others are an M600's."""
+    values = {name: value for name, value in table.items() if name in Vehicle._fields and name != "rotor"}
+    common = {"torque_coefficient": table["torque_coefficient"]}  # of rotors that state none
+    rotors = tuple(Rotor(**(common | entry)) for entry in table.get("rotor", ()))
+    coefficients = RotorCoefficients(table.get("rotor_coefficients", RotorCoefficients.ACTUAL))
+    return QUADROTOR._replace(**(values | {"rotor": rotors, "rotor_coefficients": coefficients}))
+
+
+@contextmanager
+def errors_in_px4_names(parameters: Mapping[str, float]) -> Iterator[None]:
+    """Put PX4's names of parameters into every error about a vehicle that is raised inside.
+
+    Raises:
+        ConfigError: The error raised inside, with PX4's names.
+    """
+    try:
+        yield
+    except ConfigError as error:
+        rule = re.sub(r"\b(?:rotor|rotor_angles)\.(\d+)", r"CA_ROTOR\1", error.rule)
+        raise ConfigError(PX4_NAMES.get(error.where, error.where), rule + default_text(parameters)) from None
+
+
 def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle:
     """The vehicle of a table, which must be able to hover and to command all axes.
 
@@ -161,16 +193,9 @@ def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle
     Raises:
         ConfigError: It cannot; the message has PX4's names of the parameters.
     """
-    values = {name: value for name, value in table.items() if name in Vehicle._fields and name != "rotor"}
-    common = {"torque_coefficient": table["torque_coefficient"]}  # of rotors that state none
-    rotors = tuple(Rotor(**(common | entry)) for entry in table.get("rotor", ()))
-    coefficients = RotorCoefficients(table.get("rotor_coefficients", RotorCoefficients.ACTUAL))
-    vehicle = QUADROTOR._replace(**(values | {"rotor": rotors, "rotor_coefficients": coefficients}))
-    try:
+    vehicle = vehicle_of(table)
+    with errors_in_px4_names(parameters):
         flying_allocation(vehicle)
-    except ConfigError as error:
-        rule = re.sub(r"\b(?:rotor|rotor_angles)\.(\d+)", r"CA_ROTOR\1", error.rule)
-        raise ConfigError(PX4_NAMES.get(error.where, error.where), rule + default_text(parameters)) from None
     return vehicle
 
 

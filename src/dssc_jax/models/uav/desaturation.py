@@ -27,6 +27,9 @@ YAW_MARGIN = 0.15
 NONZERO = 1e-3
 """Entries that PX4 counts as parts of a direction, relative to the largest one."""
 
+ROUNDING_OF_ROTORS = 1e-9
+"""Difference from a whole number of rotors that is rounding of the pseudo-inverse."""
+
 
 @jax.tree_util.register_static
 class Desaturation(StrEnum):
@@ -90,6 +93,24 @@ def scales_of(inverse: Sequence[Sequence[float]]) -> Scales:
         turning=max(scaled_rms(roll), scaled_rms(pitch)),
         yaw=float((-yaw).max()),  # PX4's z points down
     )
+
+
+def rotors_of_full_thrust(inverse: Sequence[Sequence[float]]) -> float:
+    """The net thrust of the command 1, at which the rotors have their largest thrust in the mean, over that thrust.
+
+    It is PX4's normalisation of the thrust: the number of rotors that lift, and less by their cosine for tilted ones.
+    Whole numbers are exact.
+
+    Args:
+        inverse: The allocation, shape (n_r, 4).
+
+    Example:
+        >>> rotors_of_full_thrust([(0.25, 1.0, -1.0, 5.0), (0.25, -1.0, 1.0, 5.0)] * 2)
+        4.0
+    """
+    rotors = 1.0 / scales_of(inverse).thrust
+    whole = float(round(rotors))
+    return whole if abs(rotors - whole) < ROUNDING_OF_ROTORS else rotors
 
 
 def directions_of(inverse: Sequence[Sequence[float]]) -> Directions:

@@ -10,6 +10,7 @@ from dssc_jax.core.quantities import nominal
 from dssc_jax.models.uav.allocation import pseudo_inverse
 from dssc_jax.models.uav.authority import largest_accelerations
 from dssc_jax.models.uav.battery import Battery, rotor_power
+from dssc_jax.models.uav.desaturation import rotors_of_full_thrust
 from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
 
 GEOMETRY = ("rotor", "rotor_angles", "spins", "torque_coefficient", "arm")
@@ -59,7 +60,8 @@ def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
     gyration_radius = (transverse / mass) ** 0.5
     weight = mass * GRAVITY
     coefficients = [nominal(value) for value in vehicle.thrust_coefficients]
-    full_thrust = vehicle.rotors * vehicle.nominal_thrust_limit
+    allocation = pseudo_inverse(vehicle)
+    full_thrust = rotors_of_full_thrust(allocation) * vehicle.nominal_thrust_limit
     hover_speed = (weight / sum(coefficients)) ** 0.5
     torque_over_thrust = max(nominal(value) for value in vehicle.torque_coefficients)
     relative_gyration = gyration_radius / arm
@@ -73,7 +75,7 @@ def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
     ]  # fmt: skip
     if vehicle.motor_lag is not None:
         ranges.append(UsualRange("motor lag", ("motor_lag",), nominal(vehicle.motor_lag), 0.01, 0.15, "s"))
-    accelerations = largest_accelerations(vehicle, np.array(pseudo_inverse(vehicle)))
+    accelerations = largest_accelerations(vehicle, np.array(allocation))
     for axis, least in LEAST_ACCELERATIONS.items():
         name = f"largest {axis} acceleration in hover"
         ranges.append(UsualRange(name, GEOMETRY, accelerations[axis], least, math.inf, "rad/s^2"))

@@ -13,6 +13,7 @@ from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.lanes.functions.approximations import atan2
+from dssc_jax.models.uav.desaturation import rotors_of_full_thrust
 from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.rotors import Wrench
 
@@ -50,8 +51,8 @@ class Craft(NamedTuple):
 
     @property
     def full_thrust(self) -> Scalar:
-        """Thrust of all rotors at their limit [N]."""
-        return len(self.allocation) * self.rotor_limit
+        """Net thrust of the thrust command 1, at which the rotors are at their limit in the mean [N]."""
+        return rotors_of_full_thrust(self.allocation) * self.rotor_limit
 
 
 class Angles(NamedTuple):
