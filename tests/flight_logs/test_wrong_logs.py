@@ -343,7 +343,7 @@ def test_a_rival_within_the_confidence_region_is_no_other_minimum(flight):
     study = linear()
     names = ["plant.k_p"]
     problem = FitProblem(
-        study, names, lambda values, commands: (values, values), sampled_log(study, log_of(*flight[::-1]))
+        study, names, lambda values, commands, forces=None: (values, values), sampled_log(study, log_of(*flight[::-1]))
     )
     information = np.array([[100.0]])
     best = Minimum(np.zeros(1), NormalEquations(10.0, np.zeros(1), information), 4)

@@ -12,7 +12,7 @@ from dssc_jax.flight_logs.fit.missing_parts import FRICTION
 from dssc_jax.flight_logs.fit.part_doubts import PartCauses, doubt_of
 from dssc_jax.flight_logs.fit.part_fits import PartFit
 from dssc_jax.flight_logs.fit.refusals import Explained, Unexplained
-from dssc_jax.flight_logs.fit.settled_forces import STICKING, stuck
+from dssc_jax.flight_logs.fit.settled_forces import STICKING, sticking_forces
 from dssc_jax.statistics.correlated_noise import WHITE
 from tests.flight_logs.closed_loop import Axis, Pid, fly, study_of
 
@@ -23,7 +23,7 @@ RESULT = Explained(residual=0.4, noise=0.003, output=1.0, independent=10.0, limi
 
 def test_friction_that_holds_at_rest_is_the_opposite_of_smaller_commands():
     flight = Flight(np.array([0.1, -0.5, 0.3, 0.3]), np.array([0.0, 0.0, 1.0, -1.0]), 0.02)
-    np.testing.assert_allclose(stuck(flight, 0.2), [0.0, -0.3, 0.1, 0.5], atol=1e-12)
+    np.testing.assert_allclose(flight.commands + sticking_forces(flight, 0.2), [0.0, -0.3, 0.1, 0.5], atol=1e-12)
 
 
 def test_a_flight_that_sticks_is_refused_with_its_friction():

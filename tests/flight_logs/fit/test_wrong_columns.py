@@ -83,7 +83,7 @@ def test_exchanged_channels_are_named(wrong):
     for signal, rows in logged.items():
         columns |= {f"{name}_{signal}": Column(TIME, row) for name, row in zip(study.loop.channels, rows, strict=True)}
 
-    def predict(values, commands):
+    def predict(values, commands, forces=None):
         predicted = positions(values[0], commands)
         return predicted, -predicted[None] / values[0]
 
