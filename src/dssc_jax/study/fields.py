@@ -119,10 +119,12 @@ def in_order(part: Any) -> Any:
         part: A NamedTuple of parameters, with numbers or laws. An absent number has no order.
 
     Raises:
-        ConfigError: For some values of their laws a number is not below the other.
+        ConfigError: For some values of their laws a number is not below the other, or the part has no such number.
     """
     for name, spec in field_specs(type(part)).items():
         larger_name = spec.mark.less_than if isinstance(spec.mark, Quantity) else None
+        if larger_name is not None and larger_name not in part._fields:
+            raise ConfigError(name, f"its quantity has less_than = '{larger_name}', but the part has no such number")
         if larger_name is None or getattr(part, name) is None or getattr(part, larger_name) is None:
             continue
         _, highest = extent(getattr(part, name))

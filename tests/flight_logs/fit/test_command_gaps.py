@@ -5,7 +5,7 @@ import pytest
 
 from dssc_jax.flight_logs.fit.command_gaps import EARLY, HELD, LATE, is_rare, reconstructions
 from dssc_jax.flight_logs.fit.fit import fit_log
-from dssc_jax.flight_logs.fit.refusals import NotIdentifiable
+from dssc_jax.flight_logs.fit.refusals import NotIdentifiable, Unexplained
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from tests.flight_logs.fit.test_fit import DT, linear, log_of, output
 
@@ -81,6 +81,14 @@ def test_every_second_command_of_a_smooth_one():
     assert "(u_total)" in doubt_of(fitted)
     shifted = output(*TRUTH, np.repeat(command[::2], 2))
     assert np.abs(shifted - output(*TRUTH, command)).max() > 0.005  # several times the noise
+
+
+def test_a_refusal_names_rare_commands():
+    """Commands that jump at every sample, of which the log has every second one, describe no flight."""
+    command = 3.0 * np.random.default_rng(1).normal(size=SAMPLES)
+    with pytest.raises(Unexplained, match=r"more often than the log has them \(u_total\)\. Between two") as refused:
+        fit_log(linear(), log_at_half_the_rate(flown(command), command))
+    assert "rare-command" in [cause.code for cause in refused.value.causes]
 
 
 @pytest.mark.parametrize(("at", "taken"), [(200, LATE), (201, EARLY)])

@@ -11,9 +11,8 @@ from dssc_jax.flight_logs.fit.refusals import Unexplained
 from dssc_jax.flight_logs.fit.sudden_parts import (
     GAIN_STEP,
     WIND_STEP,
-    force_from,
     lacking_sudden_parts,
-    weakened_from,
+    part_from,
 )
 from tests.flight_logs.fit.test_fit import DT, linear, log_of
 from tests.flight_logs.fit.test_missing_parts import A_P, FINE, K_P, commands_of, flown, no_force, told
@@ -97,10 +96,14 @@ def test_a_strong_wind_is_told_with_the_time_between_two_samples_and_its_advice_
 
 def test_a_force_between_two_samples_has_its_mean_over_the_first():
     flight = Flight(np.zeros(4), np.zeros(4), DT)
-    np.testing.assert_allclose(force_from(1.0, flight, 2.0), [0.0, 2.0, 2.0, 2.0])
-    np.testing.assert_allclose(force_from(1.25, flight, 2.0), [0.0, 1.5, 2.0, 2.0])
+    for begin, forces in ((1.0, [0.0, 2.0, 2.0, 2.0]), (1.25, [0.0, 1.5, 2.0, 2.0])):
+        part = part_from(WIND_STEP, begin, choices=1)
+        np.testing.assert_allclose(part.forces_on(flight, 2.0), forces)
+        np.testing.assert_array_equal(part.commands(flight, 2.0), flight.commands)
     thrust = Flight(np.full(4, 2.0), np.zeros(4), DT)
-    np.testing.assert_allclose(weakened_from(1.25, thrust, 0.4), [2.0, 1.4, 1.2, 1.2])
+    part = part_from(GAIN_STEP, 1.25, choices=1)
+    np.testing.assert_allclose(part.commands(thrust, 0.4), [2.0, 1.4, 1.2, 1.2])
+    assert part.forces_on(thrust, 0.4) is None
 
 
 @pytest.mark.parametrize(("seed", "begin", "kept"), [(7, 4.0, 0.8), (4, 2.512, 0.9), (9, 6.0, 0.97), (5, 5.0, 1.2)])

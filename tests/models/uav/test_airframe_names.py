@@ -13,7 +13,7 @@ from tests.models.uav.test_airframe import QUAD, with_properties
     [
         ("MPC_THR_HOVR", "MPC_THR_HOVER"),  # a character too few
         ("MC_ROLLRATEP", "MC_ROLLRATE_P"),
-        ("SIH_IXXX", "SIH_IXX"),  # a character too many
+        ("SIH_IIXX", "SIH_IXX"),  # a character too many
         ("CA_ROTOR2_YP", "CA_ROTOR2_PY"),  # neighbours exchanged
         ("MCP_XY_P", "MPC_XY_P"),
     ],

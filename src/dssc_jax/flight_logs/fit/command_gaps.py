@@ -144,22 +144,31 @@ def command_moves(problem: FitProblem, minimum: Minimum, comparisons: Sequence[C
 
 
 def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarray) -> tuple[SignalWarning, ...]:
-    """The doubt about commands that are logged more rarely than they are given.
+    """The doubt about commands that are logged more rarely than they are given, with what that leaves open.
 
     Args:
         problem: The least-squares problem of the log.
         moves: The moves by :func:`command_moves` of the f numbers that are fitted, shape (k, f).
         deviations: Standard deviations of their coordinates without these moves, shape (f,).
     """
-    log = problem.log
-    if not log.rare:
-        return ()
     move_texts = []
     if len(moves):
         distances = np.sqrt(np.sum(moves**2, axis=0))
         for name, distance, deviation in zip(problem.fitted_names, distances, deviations, strict=True):
             if distance > TOLD * deviation:
                 move_texts.append(f"{name} by {distance / deviation:.2g} standard deviations")
+    return rare_doubts(problem.log, move_texts)
+
+
+def rare_doubts(log: SampledLog, move_texts: Sequence[str] = ()) -> tuple[SignalWarning, ...]:
+    """The doubt about commands that are logged more rarely than they are given.
+
+    Args:
+        log: The log.
+        move_texts: How far another course of the commands moves numbers, in words.
+    """
+    if not log.rare:
+        return ()
     text = (
         f"the study's controller gives commands more often than the log has them ({', '.join(log.rare)}). Between two "
         f"values of a command {log.between}, which describes the flight best"

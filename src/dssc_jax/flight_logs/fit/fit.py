@@ -24,6 +24,7 @@ from dssc_jax.flight_logs.fit.command_gaps import (
     compared_commands,
     freed_doubts,
     held_doubts,
+    rare_doubts,
     with_commands,
 )
 from dssc_jax.flight_logs.fit.declared_noise import declared_covariance, larger_covariance
@@ -220,8 +221,7 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
     if not causes:
         causes, is_explained = refusal_causes(problem, best, results)
     if not is_explained:
-        count = len(problem.fitted)
-        causes = (*causes, *command_doubts(problem, np.zeros((0, count)), np.ones(count)), *held_doubts(problem.log))
+        causes = (*causes, *rare_doubts(problem.log), *held_doubts(problem.log))
     hint = "" if is_explained else conversion_hint(problem, best.x, place)
     advice = advice_text(problem.study, hint, causes)
     raise Unexplained(f"{refusal_text(problem, best.x, place, results[place])}{advice}", causes)

@@ -76,6 +76,10 @@ class Part(NamedTuple):
     has_speed: bool = False
     outputs: Callable[[np.ndarray, float], np.ndarray] | None = None
 
+    def forces_on(self, flight: Flight, size: float) -> np.ndarray | None:
+        """The forces on a plant with the part, shape (n,) [u]; None: it is no force."""
+        return None if self.forces is None else self.forces(flight, size)
+
 
 def quadratic_drag(speed: np.ndarray) -> np.ndarray:
     """The course of a force that grows with the square of the speed, and acts against it; shape (n,)."""
@@ -110,6 +114,11 @@ def behind(model: Unmodelled) -> Callable[[Flight, float], np.ndarray]:
 def fading(flight: Flight, size: float) -> np.ndarray:
     """Commands whose gain changes linearly in time, from 1 at the first sample to 1 - size at the last one."""
     return flight.commands * np.linspace(1.0, 1.0 - size, len(flight.commands))
+
+
+def weakened(flight: Flight, size: float) -> np.ndarray:
+    """Commands whose gain is 1 - size."""
+    return (1.0 - size) * flight.commands
 
 
 def late(flight: Flight, size: float) -> np.ndarray:
@@ -292,6 +301,17 @@ FILTERED_ALONE = FILTERED_OUTPUT._replace(
 TWIN_LAGS = (ACTUATOR_LAG, FILTERED_OUTPUT)
 """Lags that act alike on a flight from rest."""
 
+FADING = Part(
+    code="changing-gain",
+    words="a gain of the command that {verb} by {percent:.3g} % from the first sample to the last, as with a battery",
+    remedy="Log the command times the gain, such as thrust in place of throttle, or fit a shorter part of the flight",
+    actuator=None,
+    commands=fading,
+    sizes=fading_sizes,
+    is_positive=False,
+    is_possible=is_moderate,
+)
+
 PARTS = (
     Part(
         code="missing-force",
@@ -342,18 +362,7 @@ PARTS = (
         step_sizes,
         is_rounding,
     )._replace(choices=MOST_STEPS),
-    Part(
-        code="changing-gain",
-        words="a gain of the command that {verb} by {percent:.3g} % from the first sample to the last, as with a "
-        "battery",
-        remedy="Log the command times the gain, such as thrust in place of throttle, or fit a shorter part of the "
-        "flight",
-        actuator=None,
-        commands=fading,
-        sizes=fading_sizes,
-        is_positive=False,
-        is_possible=is_moderate,
-    ),
+    FADING,
 )
 
 

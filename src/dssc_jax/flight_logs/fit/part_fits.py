@@ -168,7 +168,7 @@ class PartProblem:
 
     def forces(self, point: PartPoint) -> np.ndarray | None:
         """The forces on a plant with the part, shape (samples,) [u]; None: the part is no force."""
-        return None if self.part.forces is None else self.part.forces(self.flight, self.size(point))
+        return self.part.forces_on(self.flight, self.size(point))
 
     def products(self, noise: Noise, columns: np.ndarray) -> np.ndarray:
         """Weighted products of columns."""

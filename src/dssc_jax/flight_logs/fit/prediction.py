@@ -1,10 +1,10 @@
 """The measured output that a study predicts for the commands of a logged flight, and its derivatives."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.sample import LoopState, held_between_samples, step
 from dssc_jax.core.contracts import Controller, Disturbance
 from dssc_jax.core.numerics import arithmetic, as_arrays
-from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, Scalar
+from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, Scalar, State
 from dssc_jax.engine import kernels
 from dssc_jax.engine.evaluation import DIRECTION, require_steps_in_any_order
 from dssc_jax.engine.kernels import Start
@@ -29,9 +29,22 @@ RANDOM = ("std", "turbulence")
 REPLICATES = 64  # simulations of random disturbances
 NO_NUMBERS: Mapping[str, float] = MappingProxyType({})
 
-Outputs: TypeAlias = Callable[..., tuple[Scalar, ...]]
-"""(Values of the numbers; commands, shape (channels, samples); index of the draw; forces, shape (samples,), or None) ->
-outputs of each channel, shape (samples,)."""
+
+class Outputs(Protocol):
+    """The program of the outputs."""
+
+    def __call__(
+        self, values: Sequence[Scalar], commands: jax.Array, index: jax.Array | int, forces: jax.Array | None = None
+    ) -> tuple[Scalar, ...]:
+        """The outputs of each channel, shape (samples,).
+
+        Args:
+            values: Values of the numbers.
+            commands: Commands, shape (channels, samples).
+            index: Index of the draw.
+            forces: Forces, shape (samples,); None: there are none.
+        """
+        ...
 
 
 class Prediction(Protocol):
@@ -61,7 +74,7 @@ class PushedState(NamedTuple):
         force: The force over the present sample [u].
     """
 
-    disturbance: Any
+    disturbance: State
     sample: Scalar
     force: Scalar
 

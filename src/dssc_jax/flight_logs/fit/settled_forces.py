@@ -51,7 +51,7 @@ def settled(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: P
 def settled_fit(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:
     """The fit of one force at the speed that it leaves; arguments as of :func:`settled`."""
     for _ in range(ROUNDS if fit.part.has_speed else 0):
-        forces = None if fit.part.forces is None else fit.part.forces(flight, fit.size)
+        forces = fit.part.forces_on(flight, fit.size)
         flight = flown_with(problem, fit.x, fit.part.commands(flight, fit.size)[None, :], forces)
         again = fitted_part(problem, without, flight, fit.part)
         if again is None or again.gain <= fit.gain:

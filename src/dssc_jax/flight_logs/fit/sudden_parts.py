@@ -11,19 +11,16 @@ References:
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from dssc_jax.flight_logs.fit.flown_course import Flight
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
-from dssc_jax.flight_logs.fit.missing_parts import Part, fading_sizes, force_sizes, is_any, is_moderate, on_time
+from dssc_jax.flight_logs.fit.missing_parts import FADING, STEADY_WIND, Part, weakened
 from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, PartPoint, PartProblem, fitted_part
 from dssc_jax.flight_logs.fit.shifts import linear_cost
-from dssc_jax.flight_logs.signal_warnings import WarningCode
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
 from dssc_jax.study import Study
 
@@ -38,29 +35,6 @@ MARGIN = 0.05  # share of the flight at either end without such a time
 SLOTS = ("disturbance.", "wind.")
 
 
-class SuddenPart(NamedTuple):
-    """A part that a study may lack, and that begins at a moment.
-
-    Args:
-        code: Code of its warning.
-        words: What it is, as of :class:`~dssc_jax.flight_logs.fit.missing_parts.Part`; the time follows.
-        remedy: What to do, with ``{lower}`` and ``{upper}``, between which the time lies [s].
-        commands: (Samples up to the moment, flight, size) -> commands that a plant with the part gets, shape (n,);
-            None: those of the flight.
-        forces: Likewise, the forces that act on it beside the actuator's output; None: it is no force.
-        sizes: Flight -> first sizes.
-        is_possible: (Flight, size) -> whether the size means something on this flight.
-    """
-
-    code: WarningCode
-    words: str
-    remedy: str
-    commands: Callable[[float, Flight, float], np.ndarray] | None
-    forces: Callable[[float, Flight, float], np.ndarray] | None
-    sizes: Callable[[Flight], tuple[float, ...]]
-    is_possible: Callable[[Flight, float], bool]
-
-
 def share_after(begin: float, flight: Flight) -> np.ndarray:
     """Share of each sample after a moment, which may lie within one; shape (n,).
 
@@ -71,47 +45,28 @@ def share_after(begin: float, flight: Flight) -> np.ndarray:
     return np.clip(np.arange(1, len(flight.commands) + 1) - begin, 0.0, 1.0)
 
 
-def force_from(begin: float, flight: Flight, size: float) -> np.ndarray:
-    """A constant force of a size that begins at a moment, counted in samples."""
-    return size * share_after(begin, flight)
-
-
-def weakened_from(begin: float, flight: Flight, size: float) -> np.ndarray:
-    """Commands whose gain changes from 1 to 1 - size at a moment, counted in samples."""
-    return flight.commands * (1.0 - size * share_after(begin, flight))
-
-
-WIND_STEP = SuddenPart(
-    code="missing-force",
+WIND_STEP = STEADY_WIND._replace(
     words="a constant force ({size:.3g} {command}, as of a wind) that begins at",
     remedy='Give the study that force (disturbance, kind = "step") with laws of its value and of its time, such as '
     "at = {{ uniform = [{lower:.6g}, {upper:.6g}] }}, or fit the part before or after",
-    commands=None,
-    forces=force_from,
-    sizes=force_sizes,
-    is_possible=is_any,
 )
-GAIN_STEP = SuddenPart(
-    code="changing-gain",
+GAIN_STEP = FADING._replace(
     words="a gain of the command that {verb} by {percent:.3g} %, as where a blade breaks or a cell fails, at",
     remedy="Fit the part that ends before {lower:.4g} s or the one that begins after {upper:.4g} s, or log the command "
     "times the gain",
-    commands=weakened_from,
-    forces=None,
-    sizes=fading_sizes,
-    is_possible=is_moderate,
+    commands=weakened,
 )
+# As parts that last all the flight. The words end before the time, and the remedy has ``{lower}`` and ``{upper}``,
+# between which the time lies [s].
 
 
-def lacking_sudden_parts(study: Study) -> list[SuddenPart]:
+def lacking_sudden_parts(study: Study) -> list[Part]:
     """The sudden parts that a study lacks; one with a disturbance or a wind that begins gets no second one."""
     has_wind_step = any(number.quantity.begins for name, number in study.numbers.items() if name.startswith(SLOTS))
     return [GAIN_STEP] if has_wind_step else [WIND_STEP, GAIN_STEP]
 
 
-def fitted_sudden_part(
-    problem: FitProblem, without: FitWithoutPart, flight: Flight, sudden: SuddenPart
-) -> PartFit | None:
+def fitted_sudden_part(problem: FitProblem, without: FitWithoutPart, flight: Flight, sudden: Part) -> PartFit | None:
     """Fit a log with a part that begins at the likeliest time; None if it does not explain the residual.
 
     The time is that under the noise of the fit without the part, or under white noise, then under that of the fit with
@@ -134,7 +89,7 @@ def fitted_sudden_part(
 
 
 def fit_from(
-    weighted: FitProblem, problem: FitProblem, without: FitWithoutPart, flight: Flight, sudden: SuddenPart
+    weighted: FitProblem, problem: FitProblem, without: FitWithoutPart, flight: Flight, sudden: Part
 ) -> PartFit | None:
     """Fit a log with a part, from the time on that is the likeliest under a first noise; None as above.
 
@@ -168,7 +123,7 @@ def fit_from(
 
 
 def refined(
-    problem: FitProblem, without: FitWithoutPart, flight: Flight, sudden: SuddenPart, fit: PartFit, begin: float
+    problem: FitProblem, without: FitWithoutPart, flight: Flight, sudden: Part, fit: PartFit, begin: float
 ) -> PartFit:
     """The fit with a part whose time is refined between the samples; its words have the time and its deviation.
 
@@ -192,7 +147,7 @@ def refined(
         if is_small:
             break
     deviation = max(correction.deviation, spread_of_begin(problem, flight, sudden, fit, begin))
-    return fit._replace(part=told_part(fit.part, sudden, flight.sample_time, begin, deviation))
+    return fit._replace(part=told_part(fit.part, flight.sample_time, begin, deviation))
 
 
 class BeginCorrection(NamedTuple):
@@ -202,9 +157,7 @@ class BeginCorrection(NamedTuple):
     deviation: float
 
 
-def begin_correction(
-    problem: FitProblem, flight: Flight, sudden: SuddenPart, fit: PartFit, begin: float
-) -> BeginCorrection:
+def begin_correction(problem: FitProblem, flight: Flight, sudden: Part, fit: PartFit, begin: float) -> BeginCorrection:
     """How far the time of a part is from the likeliest one, to first order; the numbers and the size are free.
 
     Args:
@@ -242,34 +195,35 @@ def with_noise(problem: FitProblem, noise: Noise) -> FitProblem:
     return weighted
 
 
-def part_from(sudden: SuddenPart, begin: float, choices: int) -> Part:
+def part_from(sudden: Part, begin: float, choices: int) -> Part:
     """A part from a moment on, the likeliest of some samples.
 
     Args:
-        sudden: The part.
+        sudden: The part, as it is after the moment.
         begin: Samples from the first one to the moment.
         choices: Number of samples and sudden parts that were compared.
     """
-    return Part(
-        code=sudden.code,
-        words=sudden.words,
-        remedy=sudden.remedy,
-        actuator=None,
-        commands=on_time if sudden.commands is None else partial(sudden.commands, begin),
-        sizes=sudden.sizes,
-        is_positive=False,
-        is_possible=sudden.is_possible,
-        choices=choices,
-        forces=None if sudden.forces is None else partial(sudden.forces, begin),
-    )
+    lasting_forces = sudden.forces
+
+    def commands(flight: Flight, size: float) -> np.ndarray:
+        """The flight's commands up to the moment, and those of the part after it."""
+        return flight.commands + share_after(begin, flight) * (sudden.commands(flight, size) - flight.commands)
+
+    if lasting_forces is None:
+        return sudden._replace(commands=commands, choices=choices)
+
+    def forces(flight: Flight, size: float) -> np.ndarray:
+        """The part's forces after the moment."""
+        return share_after(begin, flight) * lasting_forces(flight, size)
+
+    return sudden._replace(commands=commands, forces=forces, choices=choices)
 
 
-def told_part(part: Part, sudden: SuddenPart, sample_time: float, begin: float, deviation: float) -> Part:
+def told_part(part: Part, sample_time: float, begin: float, deviation: float) -> Part:
     """A part from a moment on, with its time in words; the span of the remedy is wider than what is known.
 
     Args:
         part: The part.
-        sudden: The part without the moment.
         sample_time: Time between two samples [s].
         begin: Samples from the first one to the moment.
         deviation: Standard deviation of ``begin``.
@@ -277,19 +231,17 @@ def told_part(part: Part, sudden: SuddenPart, sample_time: float, begin: float, 
     time = sample_time * begin
     margin = sample_time * min(MARGIN_DEVIATIONS * deviation + 1.0, begin)
     return part._replace(
-        words=f"{sudden.words} {time:.4g} ± {sample_time * deviation:.2g} s of the study",
-        remedy=sudden.remedy.format(lower=time - margin, upper=time + margin),
+        words=f"{part.words} {time:.4g} ± {sample_time * deviation:.2g} s of the study",
+        remedy=part.remedy.format(lower=time - margin, upper=time + margin),
     )
 
 
-def likeliest_begin(problem: FitProblem, x: np.ndarray, flight: Flight, sudden: SuddenPart, begins: np.ndarray) -> int:
+def likeliest_begin(problem: FitProblem, x: np.ndarray, flight: Flight, sudden: Part, begins: np.ndarray) -> int:
     """The sample from which on a part leaves the least sum of squares; arguments as of :func:`costs_by_begin`."""
     return int(begins[int(np.argmin(costs_by_begin(problem, x, flight, sudden, begins)))])
 
 
-def costs_by_begin(
-    problem: FitProblem, x: np.ndarray, flight: Flight, sudden: SuddenPart, begins: np.ndarray
-) -> np.ndarray:
+def costs_by_begin(problem: FitProblem, x: np.ndarray, flight: Flight, sudden: Part, begins: np.ndarray) -> np.ndarray:
     """The least weighted sums of squares with a part from some moments on, if the prediction is linear, shape (k,).
 
     Args:
@@ -305,8 +257,7 @@ def costs_by_begin(
     slopes = []
     for begin in begins.tolist():
         part = part_from(sudden, begin, choices=1)
-        forces = None if part.forces is None else part.forces(flight, size)
-        (moved,) = problem.columns(x, part.commands(flight, size)[None, :], forces)
+        (moved,) = problem.columns(x, part.commands(flight, size)[None, :], part.forces_on(flight, size))
         slopes.append((columns[:, 0] - moved[:, 0]) / size)
     extended = np.column_stack([columns, *slopes])
     if not np.isfinite(extended).all():
@@ -320,7 +271,7 @@ def costs_by_begin(
     return np.array(costs)
 
 
-def spread_of_begin(problem: FitProblem, flight: Flight, sudden: SuddenPart, fit: PartFit, begin: float) -> float:
+def spread_of_begin(problem: FitProblem, flight: Flight, sudden: Part, fit: PartFit, begin: float) -> float:
     """The standard deviation of a moment by its likelihood around the likeliest one, in samples.
 
     A gain that changes while the command is small has no single likeliest moment, and the curvature there is none of
