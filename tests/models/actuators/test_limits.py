@@ -1,12 +1,16 @@
 """Rate limit and saturation: against a hand-written loop, at any step."""
 
+from typing import Annotated, NamedTuple
+
 import jax
 import numpy as np
 import pytest
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.study.components import parse_component
+from dssc_jax.study.fields import in_order
 from dssc_jax.study.laws import Law
 
 COMMANDS = [0.5, 0.5, -2.0, -2.0, 0.1, 3.0, 3.0, 3.0, 0.0]
@@ -77,3 +81,15 @@ def test_the_number_may_be_a_law_and_is_positive(kind, number, unit):
         parsed(kind=kind, **{number: 0.0})
     with pytest.raises(ConfigError, match=f"unmodelled.{number}: is required and missing"):
         parsed(kind=kind)
+
+
+class Misdeclared(NamedTuple):
+    """A part of one's own whose quantity names a number that it does not have."""
+
+    low: Annotated[float, Quantity("u", "lower limit", less_than="hihg")]
+    high: Annotated[float, Quantity("u", "upper limit")]
+
+
+def test_an_order_that_names_no_number_of_the_part_is_refused():
+    with pytest.raises(ConfigError, match=r"low: its quantity has less_than = 'hihg', but the part has no such number"):
+        in_order(Misdeclared(0.0, 1.0))
