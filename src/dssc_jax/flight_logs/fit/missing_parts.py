@@ -116,11 +116,6 @@ def fading(flight: Flight, size: float) -> np.ndarray:
     return flight.commands * np.linspace(1.0, 1.0 - size, len(flight.commands))
 
 
-def weakened(flight: Flight, size: float) -> np.ndarray:
-    """Commands whose gain is 1 - size."""
-    return (1.0 - size) * flight.commands
-
-
 def late(flight: Flight, size: float) -> np.ndarray:
     """Commands that act later by a time [s]; the first one acts before them."""
     return delayed(flight.commands, size / flight.sample_time)

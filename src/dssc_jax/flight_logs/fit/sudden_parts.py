@@ -18,7 +18,7 @@ import numpy as np
 
 from dssc_jax.flight_logs.fit.flown_course import Flight
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
-from dssc_jax.flight_logs.fit.missing_parts import FADING, STEADY_WIND, Part, weakened
+from dssc_jax.flight_logs.fit.missing_parts import FADING, STEADY_WIND, Part
 from dssc_jax.flight_logs.fit.part_fits import FitWithoutPart, PartFit, PartPoint, PartProblem, fitted_part
 from dssc_jax.flight_logs.fit.shifts import linear_cost
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
@@ -45,6 +45,11 @@ def share_after(begin: float, flight: Flight) -> np.ndarray:
     return np.clip(np.arange(1, len(flight.commands) + 1) - begin, 0.0, 1.0)
 
 
+def weakened(flight: Flight, size: float) -> np.ndarray:
+    """Commands whose gain is 1 - size."""
+    return (1.0 - size) * flight.commands
+
+
 WIND_STEP = STEADY_WIND._replace(
     words="a constant force ({size:.3g} {command}, as of a wind) that begins at",
     remedy='Give the study that force (disturbance, kind = "step") with laws of its value and of its time, such as '
@@ -56,8 +61,8 @@ GAIN_STEP = FADING._replace(
     "times the gain",
     commands=weakened,
 )
-# As parts that last all the flight. The words end before the time, and the remedy has ``{lower}`` and ``{upper}``,
-# between which the time lies [s].
+"""Both as they are after the moment. The words end before the time, and the remedy has ``{lower}`` and ``{upper}``,
+between which the time lies [s]."""
 
 
 def lacking_sudden_parts(study: Study) -> list[Part]:
