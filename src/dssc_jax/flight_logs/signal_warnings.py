@@ -39,6 +39,7 @@ WarningCode: TypeAlias = Literal[
     "invalid-values",
     "large-residual",
     "level-start",
+    "limited-command",
     "missing-dead-zone",
     "missing-force",
     "missing-lag",

@@ -11,19 +11,22 @@ from dssc_jax.flight_logs.fit.flown_course import Flight
 from dssc_jax.flight_logs.fit.missing_parts import FRICTION
 from dssc_jax.flight_logs.fit.part_doubts import PartCauses, doubt_of
 from dssc_jax.flight_logs.fit.part_fits import PartFit
+from dssc_jax.flight_logs.fit.prediction import driving_forces
 from dssc_jax.flight_logs.fit.refusals import Explained, Unexplained
-from dssc_jax.flight_logs.fit.settled_forces import STICKING, sticking_forces
+from dssc_jax.flight_logs.fit.settled_forces import sticking, sticking_forces
 from dssc_jax.statistics.correlated_noise import WHITE
 from tests.flight_logs.closed_loop import Axis, Pid, fly, study_of
 
 SLOW = Pid(k_p=2.1, k_i=0.7, k_d=1.6, filter=0.06)
 SIZE = r"perhaps with sticking, .* or (\S+) ± (\S+) m/s\^2 as an acceleration"
+STICKING = sticking(np.zeros(1))
 RESULT = Explained(residual=0.4, noise=0.003, output=1.0, independent=10.0, limit=0.003, reading_noise=0.003)
 
 
-def test_friction_that_holds_at_rest_is_the_opposite_of_smaller_commands():
-    flight = Flight(np.array([0.1, -0.5, 0.3, 0.3]), np.array([0.0, 0.0, 1.0, -1.0]), 0.02)
-    np.testing.assert_allclose(flight.commands + sticking_forces(flight, 0.2), [0.0, -0.3, 0.1, 0.5], atol=1e-12)
+def test_friction_that_holds_at_rest_is_the_opposite_of_smaller_forces():
+    drive = np.array([0.1, -0.5, 0.3, 0.3])
+    flight = Flight(np.zeros(4), np.array([0.0, 0.0, 1.0, -1.0]), 0.02)
+    np.testing.assert_allclose(drive + sticking_forces(drive, flight, 0.2), [0.0, -0.3, 0.1, 0.5], atol=1e-12)
 
 
 def test_a_flight_that_sticks_is_refused_with_its_friction():
@@ -58,3 +61,28 @@ def test_friction_with_sticking_keeps_its_estimate(part, residual, is_withdrawn)
     assert doubt.code == "missing-force"
     assert ("the cause is probably another part" in doubt.text) == is_withdrawn
     assert ("plant.a_p is about 1 in place of 2" in doubt.text) != is_withdrawn
+
+
+def test_what_holds_a_vehicle_at_rest_is_command_and_wind_together():
+    """Friction of 0.26 m/s^2, and a wind of nearly as much, that the study has with a law."""
+    wind = {"kind": "constant", "value": {"normal": [0.0, 0.3]}}
+    log = fly(axis=Axis(friction=0.26, wind=0.2), gains=SLOW)
+    try:
+        told = " ".join(doubt.text for doubt in fit_log(study_of(SLOW, disturbance=wind), log).doubts)
+    except Unexplained as refusal:
+        told = str(refusal)
+    found = re.search(SIZE, told)
+    assert found is not None, told
+    size, deviation = map(float, found.groups())
+    assert abs(size - 0.26) < 3.0 * deviation
+
+
+def test_the_driving_force_is_that_of_actuator_and_disturbance():
+    """A lag of 0.1 s at rest before a step of the command, by its exact solution, and a constant."""
+    study = study_of(
+        disturbance={"kind": "constant", "value": 0.3}, unmodelled={"kind": "lag", "mu": {"uniform": [0.05, 0.15]}}
+    )
+    commands = np.full((1, 50), 2.0)
+    found = driving_forces(study, {"unmodelled.mu": 0.1}, commands)
+    times = 0.02 * np.arange(1, 51)
+    np.testing.assert_allclose(found, 2.0 * -np.expm1(-times / 0.1) + 0.3, rtol=1e-9)

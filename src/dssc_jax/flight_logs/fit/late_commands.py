@@ -80,9 +80,23 @@ def late_command(problem: FitProblem, minimum: Minimum) -> Delay | None:
     return fitted_delay(shifts, minimum, channels, best, margin)
 
 
-def command_delay_doubts(
-    problem: FitProblem, minimum: Minimum, results: Sequence[Explained]
-) -> tuple[SignalWarning, ...]:
+def certain_command_delay(problem: FitProblem, minimum: Minimum, results: Sequence[Explained]) -> Delay | None:
+    """The delay of the commands, if it certainly explains the residual or a large part of it.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+        results: How well the study describes each channel.
+    """
+    delay = late_command(problem, minimum)
+    if delay is None or not delay.matters(problem.study.loop.sample_time) or not delay.explains:
+        return None
+    return None if leaves_most(problem, delay, results) else delay
+
+
+def command_delay_warning(
+    problem: FitProblem, minimum: Minimum, results: Sequence[Explained], delay: Delay
+) -> SignalWarning:
     """The doubt about commands that act later or earlier than they are logged, with the remedy.
 
     The estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
@@ -91,12 +105,9 @@ def command_delay_doubts(
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
         results: How well the study describes each channel.
+        delay: The delay.
     """
     study = problem.study
-    delay = late_command(problem, minimum)
-    is_certain = delay is not None and delay.matters(study.loop.sample_time) and delay.explains
-    if delay is None or not is_certain or leaves_most(problem, delay, results):
-        return ()
     name = signal_name(study.loop.channels[0], "u_total")
     remedy = (
         "Log the time at which the vehicle gets the command, or give the study the delay that the vehicle has "
@@ -115,4 +126,4 @@ def command_delay_doubts(
         f"{delay.move_text(problem.named_values(minimum.x))}. {remedy}"
         f"{remaining_text(problem, minimum, delay, results)}"
     )
-    return (SignalWarning(name, "delayed-command", text),)
+    return SignalWarning(name, "delayed-command", text)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.flight_logs.fit.late_commands import command_delay_doubts
+from dssc_jax.flight_logs.fit.late_commands import certain_command_delay, command_delay_warning
 from dssc_jax.flight_logs.fit.least_squares import LEAST_SAMPLES, TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum, minimise
 from dssc_jax.flight_logs.fit.prediction import declares_noise
@@ -168,8 +168,15 @@ def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explai
         return screened_doubts(problem, minimum)
     lateness = late_output(problem, minimum)
     is_certain = lateness is not None and lateness.matters(study.loop.sample_time) and lateness.explains
-    if lateness is None or not is_certain or leaves_most(problem, lateness, results):
-        return command_delay_doubts(problem, minimum, results)
+    if lateness is not None and (not is_certain or leaves_most(problem, lateness, results)):
+        lateness = None
+    remains = "" if lateness is None else remaining_text(problem, minimum, lateness, results)
+    if lateness is None or remains:
+        delay = certain_command_delay(problem, minimum, results)
+        if delay is not None and (lateness is None or delay.shifted < lateness.shifted):
+            return (command_delay_warning(problem, minimum, results, delay),)
+    if lateness is None:
+        return ()
     names = [signal_name(study.loop.channels[channel], "y") for channel in lateness.channels]
     sizes = []
     for name, channel, unshifted, shifted in zip(
@@ -191,8 +198,7 @@ def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explai
     text = (
         f"{', '.join(names)} {verb} {lateness.size_text} {side} than the study predicts for the logged commands, or "
         f"these are as much {opposite_side} (p = {lateness.p_value:.1g}): moved by that, {falls}"
-        f"{lateness.move_text(problem.named_values(minimum.x))}. {remedy}"
-        f"{remaining_text(problem, minimum, lateness, results)}"
+        f"{lateness.move_text(problem.named_values(minimum.x))}. {remedy}{remains}"
     )
     return tuple(SignalWarning(name, "delayed-output", text) for name in names[:1])
 

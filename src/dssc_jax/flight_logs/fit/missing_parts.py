@@ -61,6 +61,7 @@ class Part(NamedTuple):
         has_speed: Whether its forces depend on the speed of the flight.
         outputs: (Series, samples) -> what the log has of a predicted output for a size in samples, shape (..., n);
             None: the output itself.
+        leaves: Why a part that is the cause may leave more than noise; empty: it does not.
     """
 
     code: WarningCode
@@ -75,6 +76,7 @@ class Part(NamedTuple):
     forces: Callable[[Flight, float], np.ndarray] | None = None
     has_speed: bool = False
     outputs: Callable[[np.ndarray, float], np.ndarray] | None = None
+    leaves: str = ""
 
     def forces_on(self, flight: Flight, size: float) -> np.ndarray | None:
         """The forces on a plant with the part, shape (n,) [u]; None: it is no force."""

@@ -26,7 +26,7 @@ from dssc_jax.flight_logs.fit.part_texts import part_text
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refits import Refit
 from dssc_jax.flight_logs.fit.refusals import MOST_UNEXPLAINED, MUCH_LARGER, Explained, signal_and_unit
-from dssc_jax.flight_logs.fit.settled_forces import STICKING, settled
+from dssc_jax.flight_logs.fit.settled_forces import settled
 from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE
 from dssc_jax.flight_logs.fit.sudden_parts import fitted_sudden_part, lacking_sudden_parts
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
@@ -36,7 +36,6 @@ LARGE_PART = 0.5  # share of a refused residual that may be left if a part expla
 SMALL_PART = 0.05  # share of a residual that is left if a part explains nearly all of it, whatever the noise
 EXPLAINED = 0.7  # share of a doubtful residual that is left if a part explains it, whatever it moves
 RESEMBLED = "another part may resemble this one"
-STUCK = "sticking leaves a residual of its own, so that these sizes are rough, or another part acts beside it"
 
 
 class PartDoubts(NamedTuple):
@@ -227,7 +226,7 @@ def doubt_of_refusal(problem: FitProblem, result: Explained, causes: PartCauses)
     for rival in causes.rivals:
         text += f"; {part_text(problem, rival)} leaves {rival.residual:.3g} {output}"
     if best.residual > MUCH_LARGER * result.limit:
-        text += f". That is still more than noise explains: {STUCK if best.part is STICKING else RESEMBLED}"
+        text += f". That is still more than noise explains: {best.part.leaves or RESEMBLED}"
     return SignalWarning(signal, best.part.code, f"{text[0].upper()}{text[1:]}. {remedy_of(causes)}")
 
 
@@ -285,10 +284,10 @@ def doubt_of(
     moved = f"with it, {name} is about {value:.4g} in place of {value_without:.4g}"
     remains = f"But {best.residual:.3g} {output} rms remain, where noise explains {result.noise:.3g} {output}"
     leaves_more = best.residual > max(MUCH_LARGER * result.limit, SMALL_PART * result.residual)
-    if leaves_more and best.part is STICKING and best.residual < LARGE_PART * result.residual:
+    if leaves_more and best.part.leaves and best.residual < LARGE_PART * result.residual:
         text = (
-            f"{explains}: {moved}{others}. {remains}: {STUCK}. Estimates are wrong by more than their intervals. "
-            f"{remedy_of(causes)}"
+            f"{explains}: {moved}{others}. {remains}: {best.part.leaves}. Estimates are wrong by more than their "
+            f"intervals. {remedy_of(causes)}"
         )
     elif leaves_more:
         text = (

@@ -12,6 +12,8 @@ import numpy as np
 
 from dssc_jax.closed_loop.control import near_reference
 from dssc_jax.closed_loop.first_state import initial_state
+from dssc_jax.closed_loop.loop import Loop
+from dssc_jax.closed_loop.plant_inputs import plant_input
 from dssc_jax.closed_loop.sample import LoopState, held_between_samples, step
 from dssc_jax.core.contracts import Controller, Disturbance
 from dssc_jax.core.numerics import arithmetic, as_arrays
@@ -119,6 +121,43 @@ def quiet_values(study: Study) -> dict[str, float]:
     return values
 
 
+def played_loop(loop: Loop, commands: jax.Array) -> Loop:
+    """A loop whose controllers give logged commands, shape (channels, samples)."""
+    controllers = [playback(*pair) for pair in zip(loop.controller, commands, strict=True)]
+    return replace(loop, settled=None, controller=tuple(controllers))
+
+
+def driving_forces(study: Study, numbers: Mapping[str, float], commands: np.ndarray) -> np.ndarray:
+    """What actuator and disturbance exert together at the end of each sample, without noise, shape (samples,) [u].
+
+    Args:
+        study: A study of one channel.
+        numbers: Values of numbers; the others have the medians of their laws.
+        commands: The logged commands, shape (1, samples).
+    """
+    values = {**quiet_values(study), **numbers}
+
+    def driven(logged: jax.Array) -> jax.Array:
+        loop = replace(played_loop(study.loop, logged), sensor=deterministic_sensors(study))
+        params = study.params(values)
+        key = draw_key(study.config.seed, 0)
+        advance = held_between_samples(loop, params)
+
+        def sample(state: LoopState, k: jax.Array) -> tuple[LoopState, Scalar]:
+            """One sample: the state after it, and the force there."""
+            after, _ = step(loop, params, key, state, k, advance)
+            (channel,) = after.channels
+            t = (k + 1) * loop.sample_time
+            drive = plant_input(loop, params, after.disturbances, after.wind, after.plant, (channel.reaching,), t)
+            return after, drive.command[0] + drive.disturbance[0]
+
+        _, forces = jax.lax.scan(sample, initial_state(loop, params, key), jnp.arange(logged.shape[1]))
+        return forces
+
+    with arithmetic(study.config.loop.precision):
+        return np.asarray(jax.jit(driven)(np.asarray(commands, float)), float)
+
+
 def simulated_outputs(
     study: Study, names: Sequence[str], samples: int, fixed: Mapping[str, float], sensors: bool
 ) -> Outputs:
@@ -148,8 +187,7 @@ def simulated_outputs(
             index: Index of the draw, which selects its noise.
             forces: Further disturbances of the only channel, shape (samples,); None: there are none.
         """
-        controllers = [playback(*pair) for pair in zip(study.loop.controller, commands, strict=True)]
-        loop = replace(study.loop, settled=None, sensor=channel_sensors, controller=tuple(controllers))
+        loop = replace(played_loop(study.loop, commands), sensor=channel_sensors)
         if forces is not None:
             (disturbance,) = loop.disturbance
             loop = replace(loop, disturbance=(pushed(disturbance, forces),))

@@ -1,32 +1,48 @@
 """Forces against the speed that a study lacks, fitted at the speed that they leave; friction may hold at rest, too.
 
 A fit computes friction from the speed of the flight, whose noise decides the side on which it acts at rest. There it is
-the opposite of the command, up to its size, if the vehicle sticks.
+the opposite of what actuator and disturbance exert, up to its size, if the vehicle sticks.
 """
+
+from functools import partial
 
 import numpy as np
 
 from dssc_jax.flight_logs.fit.flown_course import Flight, flown_with
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
-from dssc_jax.flight_logs.fit.missing_parts import FRICTION, REST
+from dssc_jax.flight_logs.fit.missing_parts import FRICTION, REST, Part
 from dssc_jax.flight_logs.fit.part_fits import STRONG_EVIDENCE, FitWithoutPart, PartFit, fitted_part
+from dssc_jax.flight_logs.fit.prediction import driving_forces
 
 ROUNDS = 3  # of fits with a force against the speed, each at the speed of the one before
 
 
-def sticking_forces(flight: Flight, size: float) -> np.ndarray:
-    """Friction of a size, which holds the vehicle at rest against smaller commands, shape (n,)."""
+def sticking_forces(drive: np.ndarray, flight: Flight, size: float) -> np.ndarray:
+    """Friction of a size, which holds the vehicle at rest against smaller forces, shape (n,).
+
+    Args:
+        drive: What actuator and disturbance exert, shape (n,) [u].
+        flight: The flight.
+        size: The size [u].
+    """
     rest = REST * float(np.abs(flight.speed).max()) + TINY
     at_rest = np.exp(-((flight.speed / rest) ** 2))
-    held = np.clip(flight.commands, -size, size)
+    held = np.clip(drive, -size, size)
     return -at_rest * held - (1.0 - at_rest) * size * np.sign(flight.speed)
 
 
-STICKING = FRICTION._replace(
-    words="a force against the speed of constant size, which also holds at rest (friction, perhaps with sticking, "
-    "{size:.3g} ± {deviation:.2g} {command}{acceleration})",
-    forces=sticking_forces,
-)
+def sticking(drive: np.ndarray) -> Part:
+    """Friction that also holds at rest.
+
+    Args:
+        drive: What actuator and disturbance exert, shape (n,) [u].
+    """
+    return FRICTION._replace(
+        words="a force against the speed of constant size, which also holds at rest (friction, perhaps with sticking, "
+        "{size:.3g} ± {deviation:.2g} {command}{acceleration})",
+        forces=partial(sticking_forces, drive),
+        leaves="sticking leaves a residual of its own, so that these sizes are rough, or another part acts beside it",
+    )
 
 
 def settled(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:
@@ -41,11 +57,12 @@ def settled(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: P
     best = settled_fit(problem, without, flight, fit)
     if fit.part is not FRICTION:
         return best
-    sticking = fitted_part(problem, without, flight, STICKING)
-    if sticking is None:
+    drive = driving_forces(problem.study, problem.named_values(best.x), problem.log.commands)
+    stuck = fitted_part(problem, without, flight, sticking(drive))
+    if stuck is None:
         return best
-    sticking = settled_fit(problem, without, flight, sticking)
-    return sticking if sticking.gain > best.gain + STRONG_EVIDENCE else best
+    stuck = settled_fit(problem, without, flight, stuck)
+    return stuck if stuck.gain > best.gain + STRONG_EVIDENCE else best
 
 
 def settled_fit(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:

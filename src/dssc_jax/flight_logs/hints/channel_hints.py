@@ -13,6 +13,7 @@ from dssc_jax.flight_logs.channel_replay import ChannelReplay, has_enough_output
 from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit, rate_hint
 from dssc_jax.flight_logs.hints.conversions import followed_conversion, rms
 from dssc_jax.flight_logs.hints.filtered_references import study_reference_hint
+from dssc_jax.flight_logs.hints.limited_commands import limited_hint
 from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.measured_rates import mended_rate
 from dssc_jax.flight_logs.hints.moved_signals import moved_output, moved_reference
@@ -165,6 +166,10 @@ def add_command_hints(
             del hints.factors[y]
         command = rate.command
     hint = rate_hint(log.columns[name], replay.sample_time)
+    limited = limited_hint(replay, signals, command, channel.units.of("u"))
+    if limited is not None:
+        hints.factors[name] = limited
+        return
     has_wrong_output = y in hints.conversions
     scaled = None if has_wrong_output else scaled_output(replay, signals, command)
     gain = None

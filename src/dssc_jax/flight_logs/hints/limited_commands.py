@@ -1,0 +1,102 @@
+"""A logged command at limits that the analysed controller does not have.
+
+Such a command repeats its extreme values. The analysed controller's command, clipped there, is the logged one where its
+integral goes on at the limit, as behind an actuator. With its own limits, if it has any, the integral is held back.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.channel_replay import ChannelReplay
+from dssc_jax.flight_logs.hints.conversions import rms
+from dssc_jax.flight_logs.reading.held_outputs import usual_hold
+from dssc_jax.flight_logs.signal_warnings import Hint
+
+LEAST_AT_LIMIT = 5  # commands with an extreme value that is a limit
+LEFT = 0.03  # share of what the command varies that may be left
+FEWER = 0.2  # share of the difference of the commands that may be left
+
+
+class Limits(NamedTuple):
+    """Limits of a command [u]; None: there is none on this side."""
+
+    low: float | None
+    high: float | None
+
+    def text(self, unit: str) -> str:
+        """The limits in words."""
+        if self.low is None or self.high is None:
+            return f"below {self.high:.4g} {unit}" if self.low is None else f"above {self.low:.4g} {unit}"
+        return f"between {self.low:.4g} and {self.high:.4g} {unit}"
+
+
+def repeated_limits(logged: np.ndarray, replayed: np.ndarray) -> Limits:
+    """The extreme values that a logged command repeats where the analysed controller's is beyond them.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        replayed: The command of the analysed controller, shape (samples,).
+    """
+    least = LEAST_AT_LIMIT * usual_hold(logged)
+    low, high = float(np.nanmin(logged)), float(np.nanmax(logged))
+    is_low = np.count_nonzero((logged == low) & (replayed < low)) >= least
+    is_high = np.count_nonzero((logged == high) & (replayed > high)) >= least
+    return Limits(low if is_low else None, high if is_high else None)
+
+
+def command_within(replay: ChannelReplay, logged: Mapping[str, np.ndarray], limits: Limits) -> np.ndarray | None:
+    """The command of the analysed controller with these limits; None if it has no fields for them.
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals, NaN where missing, each of shape (samples,).
+        limits: The limits.
+    """
+    channel = replay.study.loop.channels[replay.index]
+    table = f"controller.{channel}" if channel else "controller"
+    fields = {f"{table}.{side}": value for side, value in limits._asdict().items() if value is not None}
+    try:
+        limited = replay.study.override(fields)
+    except ConfigError:
+        return None
+    command = ChannelReplay(limited, replay.index, replay.reference, replay.sample_time).command(logged)
+    return None if isinstance(command, str) else command
+
+
+def limited_hint(
+    replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray, unit: str
+) -> Hint | None:
+    """That a logged command is the analysed controller's within limits that this lacks; None if that is not certain.
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals, NaN where missing, with u_total, each of shape (samples,).
+        command: The controller's command for them, shape (samples,).
+        unit: Unit of the command.
+    """
+    flown = logged["u_total"]
+    limits = repeated_limits(flown, command)
+    if limits == Limits(None, None):
+        return None
+    most = min(LEFT * rms(flown - np.nanmedian(flown)), FEWER * rms(flown - command))
+    left_behind = rms(flown - np.clip(command, limits.low, limits.high))
+    within = command_within(replay, logged, limits)
+    left_within = np.inf if within is None else rms(flown - within)
+    if not min(left_behind, left_within) <= most:
+        return None
+    if left_within < left_behind:
+        fields = ", ".join(f"{side} = {value:.4g}" for side, value in limits._asdict().items() if value is not None)
+        remedy = f"Give it {fields}"
+    else:
+        remedy = (
+            "Its integral goes on at a limit, as behind an actuator with one. A fit takes the logged command, which "
+            'is right; for what the study predicts, give it that limit ([unmodelled] kind = "saturation")'
+        )
+    text = (
+        f"stays {limits.text(unit)}, and within these limits it is what the analysed controller gives, to "
+        f"{min(left_behind, left_within):.2g} {unit} rms; the study's has none. {remedy}"
+    )
+    return Hint("limited-command", text)
