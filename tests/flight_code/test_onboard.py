@@ -61,6 +61,7 @@ def test_same_bits_as_the_analysis(kind, precision, commands, start, tmp_path):
     assert ", 2 flights" in output
     if shutil.which("aarch64-linux-gnu-gcc") and shutil.which("qemu-aarch64"):
         assert "inner loop: 0 of " in made(tmp_path, "arm64")
+    assert "inner loop: 0 of " in made(tmp_path, "cpp")
     assert re.search(r"inner loop: 200000 hostile rows, \d+ with a flag, 0 numbers lost", made(tmp_path, "sanitized"))
     assert re.search(r"inner loop: [1-9]\d* of \d+ values differ", made(tmp_path, "inner-loop-detected"))
     assert "inner loop: cycles of a tick" in made(tmp_path, "cycles") or platform.machine() != "x86_64"
@@ -134,6 +135,14 @@ def test_gains_with_laws_are_parameters(tmp_path):
     assert "inner loop: 0 of " in made(tmp_path, "inner-loop-check")
     source.write_text(re.sub(r"(parameters.rate_p_1 = )[0-9.]+", r"\g<1>0.16", text))
     assert "inner loop: 0 of " not in made(tmp_path, "inner-loop-check", fails=True)
+
+
+@pytest.mark.parametrize("hover", [{}, {"plant.inner_loop.thrust_hover": 0.5}])
+def test_a_believed_mass_is_a_parameter_where_it_has_an_effect(hover, tmp_path):
+    """PX4 takes the weight from MPC_THR_HOVER, if it is set."""
+    code = folder_of(study_of("px4", FLIGHT, draws=2).override(hover), tmp_path)
+    (header,) = [text for name, text in code.texts().items() if name.endswith("_inner_loop.h")]
+    assert ("believed_mass" in header) == (not hover)
 
 
 def test_other_numbers_with_laws_are_refused():

@@ -20,7 +20,7 @@ from dssc_jax.flight_code.onboard import TracedSoftware
 from dssc_jax.flight_code.parameters import Parameter, assignment_lines, check_lines, parameter_comment
 from dssc_jax.flight_code.replay_bench import ReplayBench, bench_files
 from dssc_jax.flight_code.template_files import fill
-from dssc_jax.lanes.c.operations import c_type
+from dssc_jax.lanes.c.operations import c_literal, c_type
 from dssc_jax.lanes.c.text import CText
 from dssc_jax.lanes.passes.liveness import read_inputs
 from dssc_jax.lanes.program import Value
@@ -206,6 +206,7 @@ def source_body(files: SoftwareFiles) -> str:
     software = files.software
     name = software.prefix
     definitions = dict.fromkeys(text for function in files.functions for text in function.definitions)  # each once
+    zero = c_literal(software.real.type(0.0), software.real)
     return fill(
         "inner_loop.c",
         name=name,
@@ -215,6 +216,7 @@ def source_body(files: SoftwareFiles) -> str:
         commands_finite=finite_condition([f"wanted->{command}" for command in software.commands]),
         held_finite=finite_condition([f"updated.{member}" for member in software.state_names]),
         parameters=assignment_lines("inner_loop->parameters", files.parameters, software.real),
+        cleared=[f"inner_loop->{member} = {zero};" for member in software.state_names],
         checks=check_lines(files.parameters, software.real),
         start=body_lines(files.start, name),
         sample=body_lines(files.sample, name),

@@ -203,6 +203,25 @@ def test_a_stated_length_multiplies_positions_and_gains_without_counterpart_are_
     assert "left out, without a counterpart here: MC_ROLLRATE_P" in doubled.notes
 
 
+def test_a_stated_length_of_1_leaves_all_coordinates():
+    heights = "".join(f"\nparam set CA_ROTOR{i}_PZ {-0.03 * i}" for i in range(4))
+    plain = read_airframe(QUAD + heights, mass=2.0).vehicle["rotor"]
+    assert read_airframe(QUAD + heights, mass=2.0, arm=1.0).vehicle["rotor"] == plain
+    assert [rotor["position"][2] for rotor in plain] == pytest.approx([0.0, 0.03, 0.06, 0.09])
+    scaled = read_airframe(QUAD + heights, mass=2.0, arm=0.5).vehicle["rotor"]
+    assert [rotor["position"][2] for rotor in scaled] == pytest.approx([0.0, 0.015, 0.03, 0.045])
+
+
+def test_an_inertia_that_the_file_states_in_part_counts():
+    estimated = read_airframe(QUAD, mass=2.0).vehicle["body_inertia"]
+    found = read_airframe(QUAD + "\nparam set SIH_IXX 0.02", mass=2.0)
+    assert found.vehicle["body_inertia"] == [0.02, *estimated[1:]]
+    assert "about the other axes is estimated" in " ".join(found.notes)
+    assert "the file does not set SIH_IYY, SIH_IZZ" in " ".join(found.notes)
+    torque = read_airframe(QUAD + "\nparam set SIH_Q_MAX 0.1", mass=2.0)
+    assert "for want of SIH_T_MAX" in " ".join(torque.notes)
+
+
 def test_the_cascade_takes_the_gains_of_the_file():
     text = QUAD + "\nparam set-default MC_ROLLRATE_P 0.2\nparam set-default MPC_XY_P 0.9"
     found = read_airframe(text, mass=2.0, use_px4_cascade=True)

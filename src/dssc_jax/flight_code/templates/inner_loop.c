@@ -18,9 +18,9 @@ static unsigned keep(@{name} *inner_loop, const @{name} *kept)
 
 void @{name}_init(@{name} *inner_loop)
 {
-    const @{name} nothing = {0};
-    *inner_loop = nothing;
     @{parameters}
+    @{cleared}
+    inner_loop->started = false;
 }
 
 unsigned @{name}_check(const @{name}_parameters *parameters)

@@ -55,11 +55,19 @@ def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) ->
 
 
 def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) -> list[float]:
-    """Return the file's moments of inertia [kg m^2], or estimate them from mass and arm [m], with a note."""
-    if all(name in parameters for name in INERTIA):
-        return [parameters[name] for name in INERTIA]
-    notes.append("body_inertia is estimated from mass and arm, within a third: the file does not set SIH_IXX, ..")
-    return [parameters["SIH_MASS"] * (radius * arm) ** 2 for radius in GYRATION]
+    """Return the moments of inertia [kg m^2]; those that the file lacks are estimated from mass and arm [m].
+
+    An estimate adds a note.
+    """
+    missing = [name for name in INERTIA if name not in parameters]
+    if missing:
+        which = "" if missing == list(INERTIA) else " about the other axes"
+        notes.append(
+            f"body_inertia{which} is estimated from mass and arm, within a third: the file does not set "
+            f"{', '.join(missing)}"
+        )
+    estimates = [parameters["SIH_MASS"] * (radius * arm) ** 2 for radius in GYRATION]
+    return [parameters.get(name, estimate) for name, estimate in zip(INERTIA, estimates, strict=True)]
 
 
 def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str]) -> TomlTable:
@@ -139,8 +147,11 @@ def coefficient_entries(
     causes = []
     if hover_speed is None:
         causes.append(f"thrust_coefficient is that of {HOVER_SPEED:g} rad/s in hover, for want of a stated hover speed")
-    if not ("SIH_Q_MAX" in parameters and "SIH_T_MAX" in parameters):
-        causes.append("torque_coefficient is CA_ROTORi_KM, which the allocation assumes, for want of SIH_Q_MAX")
+    missing = [name for name in ("SIH_Q_MAX", "SIH_T_MAX") if name not in parameters]
+    if missing:
+        causes.append(
+            f"torque_coefficient is CA_ROTORi_KM, which the allocation assumes, for want of {' and '.join(missing)}"
+        )
     if causes:
         entries["rotor_coefficients"] = RotorCoefficients.NOMINAL.value
         notes += causes

@@ -217,11 +217,14 @@ def are_ratios(rotors: list[PlacedRotor]) -> bool:
 
 
 def in_metres(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> list[PlacedRotor]:
-    """The rotors in metres: ratios of a generic airframe times the arm lengths SIH_L_PITCH and SIH_L_ROLL."""
+    """The rotors in metres: ratios of a generic airframe times the arm lengths SIH_L_PITCH and SIH_L_ROLL.
+
+    PX4 has no such length for heights, which take the mean of both.
+    """
     forward = parameters["SIH_L_PITCH"]
     lateral = parameters["SIH_L_ROLL"]
     placed = []
     for rotor in rotors:
-        x, y, _ = rotor.place
-        placed.append(rotor._replace(place=(x * forward, y * lateral, 0.0)))
+        x, y, z = rotor.place
+        placed.append(rotor._replace(place=(x * forward, y * lateral, z * 0.5 * (forward + lateral))))
     return placed

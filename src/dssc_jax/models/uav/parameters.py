@@ -97,14 +97,18 @@ class UavParams(NamedTuple):
 
     @property
     def hover_thrusts(self) -> tuple[Scalar, ...]:
-        """Thrust of each rotor in hover [N], with the mass that the inner loop assumes.
+        """Thrust of each rotor in hover [N], with the mass that the inner loop assumes."""
+        return self.shared_in_hover(self.inner_model.mass * GRAVITY)
 
-        Before :func:`prepare` the weight is shared equally.
+    def shared_in_hover(self, lift: Scalar) -> tuple[Scalar, ...]:
+        """Thrust of each rotor [N] where all together lift as much, shared as in hover; equal before :func:`prepare`.
+
+        Args:
+            lift: Their force along body z [N].
         """
-        weight = self.inner_model.mass * GRAVITY
         if not self.hover_shares:
-            return (weight / self.vehicle.rotors,) * self.vehicle.rotors
-        return tuple(share * weight for share in self.hover_shares)
+            return (lift / self.vehicle.rotors,) * self.vehicle.rotors
+        return tuple(share * lift for share in self.hover_shares)
 
     def power_at_full_voltage(self, speeds: Sequence[Scalar]) -> Scalar:
         """Electrical power P of the rotors at the battery's full voltage [W], for a vehicle with a battery.
@@ -154,8 +158,7 @@ class UavParams(NamedTuple):
     @property
     def first_thrusts(self) -> tuple[Scalar, ...]:
         """Commanded thrusts of the rotors at the start, complete after :func:`prepare` [N]."""
-        share = self.first_thrust / (self.inner_model.mass * GRAVITY)  # of the believed weight
-        return tuple(share * f for f in self.hover_thrusts)
+        return self.shared_in_hover(self.first_thrust)
 
     @property
     def craft(self) -> Craft:
