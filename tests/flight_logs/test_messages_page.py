@@ -53,6 +53,7 @@ PARTS = (
     "each in standard deviations of its law",
     "explains it nearly as well",
     "rms remain, where noise explains",
+    "Its integral goes on at a limit",
     "That is still more than noise explains",
     "Estimates are wrong by more than",
     "Give the plant that force",

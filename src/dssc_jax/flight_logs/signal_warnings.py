@@ -28,6 +28,7 @@ WarningCode: TypeAlias = Literal[
     "faster-controller",
     "filtered-command",
     "filtered-output",
+    "first-integrals",
     "held-command",
     "held-output",
     "initial-output",

@@ -5,7 +5,7 @@ and Newton over the fitted numbers and the integrals tells both how large the in
 would move.
 """
 
-from collections.abc import Sequence
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,11 @@ from scipy import stats
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.refusals import FitRefused
+from dssc_jax.flight_logs.fit.shifts import Delay
+from dssc_jax.flight_logs.hints.conversions import rms
 from dssc_jax.flight_logs.hints.starts import fixed_integrals, start_remedy
+from dssc_jax.flight_logs.reading.reader import signal_name
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import weighted_products
 from dssc_jax.study import Study
 
@@ -36,6 +40,8 @@ class FreeIntegrals(NamedTuple):
         deviations: Standard deviations of these values.
         p_value: Probability of as large a reduction of the sum of squares if the study's integrals were right.
         moves: How far the estimates would move, by number, in their standard deviations.
+        residuals: Root mean square of the residual that they leave, to first order, by position of the channel.
+        falls: That over the one without them, by position of the channel.
     """
 
     names: tuple[str, ...]
@@ -43,11 +49,40 @@ class FreeIntegrals(NamedTuple):
     deviations: np.ndarray
     p_value: float
     moves: dict[str, float]
+    residuals: dict[int, float]
+    falls: dict[int, float]
 
     @property
     def differ_and_matter(self) -> bool:
         """Whether the flight's integrals differ from the study's, and the estimates depend on it."""
         return self.p_value < SIGNIFICANCE and max(map(abs, self.moves.values())) > LARGE_MOVE
+
+    @property
+    def values_text(self) -> str:
+        """The integrals with their standard deviations, in words."""
+        rows = zip(self.names, self.values, self.deviations, strict=True)
+        return ", ".join(f"{name} = {value:.3g} ± {deviation:.2g}" for name, value, deviation in rows)
+
+    def leave_less_than(self, delay: Delay) -> bool:
+        """Whether the integrals explain the residual better than a delay, by the likelihoods with white noise."""
+        logarithms = [math.log(max(self.residuals[channel], TINY)) for channel in delay.channels]
+        return sum(logarithms) < sum(math.log(max(residual, TINY)) for residual in delay.shifted)
+
+
+class Step(NamedTuple):
+    """A step of Gauss and Newton over p numbers and q integrals.
+
+    Args:
+        change: Change of their coordinates, shape (p + q,).
+        deviations: Standard deviations of these changes, shape (p + q,).
+        moves: Changes of the numbers, in their standard deviations while the integrals are those of the study.
+        reduction: How much more of the weighted sum of squares the free integrals take away.
+    """
+
+    change: np.ndarray
+    deviations: np.ndarray
+    moves: np.ndarray
+    reduction: float
 
 
 def free_integrals(problem: FitProblem, minimum: Minimum) -> FreeIntegrals | None:
@@ -67,67 +102,81 @@ def free_integrals(problem: FitProblem, minimum: Minimum) -> FreeIntegrals | Non
     p = len(problem.names)
     _, slopes = problem.predict(np.concatenate([problem.values(minimum.x), study_integrals]), problem.log.commands)
     products = np.zeros((1 + p + len(fixed_values),) * 2)
+    columns_of_channel = {}
     rows = zip(problem.readings, problem.noises, problem.variances, problem.columns(minimum.x), strict=True)
     for readings, noise, variance, columns in rows:
         extended = np.column_stack([columns, readings.interpolate(slopes[p:, readings.channel]).T])
         products += weighted_products(noise, readings.times, extended)[0] / variance
+        columns_of_channel[readings.channel] = extended
     products[1 : 1 + p, 0] -= problem.prior * minimum.x
     products[1 : 1 + p, 1 : 1 + p] += np.diag(problem.prior)
-    step = gauss_newton_step(tuple(fixed_values), problem.names, study_integrals, products)
-    return step._replace(moves={name: step.moves[name] for name in problem.fitted_names})
+    step = gauss_newton_step(p, products)
+    moves = dict(zip(problem.names, step.moves.tolist(), strict=True))
+    residuals = {}
+    falls = {}
+    for channel, columns in columns_of_channel.items():
+        residuals[channel] = rms(columns[:, 0] - columns[:, 1:] @ step.change)
+        falls[channel] = residuals[channel] / max(rms(columns[:, 0]), TINY)
+    return FreeIntegrals(
+        names=tuple(fixed_values),
+        values=study_integrals + step.change[p:],
+        deviations=step.deviations[p:],
+        p_value=float(stats.chi2.sf(step.reduction, len(fixed_values))),
+        moves={name: moves[name] for name in problem.fitted_names},
+        residuals=residuals,
+        falls=falls,
+    )
 
 
-def gauss_newton_step(
-    names: tuple[str, ...], numbers: Sequence[str], study_integrals: np.ndarray, products: np.ndarray
-) -> FreeIntegrals:
+def gauss_newton_step(p: int, products: np.ndarray) -> Step:
     """The step to the minimum over numbers and integrals, from the products of residual and slopes.
 
     Args:
-        names: Names of the q integrals.
-        numbers: Names of the p numbers.
-        study_integrals: The integrals of the study, shape (q,).
+        p: Number of numbers.
         products: Weighted products of the columns, shape (1 + p + q, 1 + p + q). The columns are the residual, its
             slopes by the numbers, and its slopes by the integrals.
     """
-    p = len(numbers)
     scale = np.sqrt(np.maximum(np.diag(products)[1:], TINY))
     information = products[1:, 1:] / np.outer(scale, scale) + ROUNDING * np.eye(len(scale))
     gradient = products[1:, 0] / scale
     number_information = information[:p, :p]
     inverse = np.linalg.inv(information)
     step = inverse @ gradient
-    # how much more of the weighted sum of squares the free integrals take away
-    reduction = float(gradient @ step - gradient[:p] @ np.linalg.solve(number_information, gradient[:p]))
-    # in standard deviations of the numbers while the integrals are those of the study
-    moves = (step[:p] / np.sqrt(np.diag(np.linalg.inv(number_information)))).tolist()
-    values = study_integrals + (step / scale)[p:]
-    deviations = (np.sqrt(np.diag(inverse)) / scale)[p:]
-    return FreeIntegrals(
-        names=names,
-        values=values,
-        deviations=deviations,
-        p_value=float(stats.chi2.sf(reduction, len(names))),
-        moves=dict(zip(numbers, moves, strict=True)),
+    return Step(
+        change=step / scale,
+        deviations=np.sqrt(np.diag(inverse)) / scale,
+        moves=step[:p] / np.sqrt(np.diag(np.linalg.inv(number_information))),
+        reduction=float(gradient @ step - gradient[:p] @ np.linalg.solve(number_information, gradient[:p])),
     )
 
 
-def require_first_integrals(study: Study, integrals: FreeIntegrals | None) -> None:
-    """Require that a flight's first integrals are those of the study, or that the estimates do not depend on them.
+def integral_doubt(problem: FitProblem, integrals: FreeIntegrals) -> SignalWarning:
+    """The doubt about integrals at the first sample that the outputs show, with the remedy.
+
+    Args:
+        problem: The problem.
+        integrals: The integrals.
+    """
+    channel = min(integrals.falls, key=lambda channel: integrals.falls[channel])
+    signal = signal_name(problem.study.loop.channels[channel], "y")
+    text = (
+        f"the flight seems to begin with other integrals than the study: its outputs show {integrals.values_text} "
+        f"(p = {integrals.p_value:.1g}), which would explain most of the residual of {signal}. "
+        f"{start_remedy(problem.study, integrals.names[-1])}"
+    )
+    return SignalWarning(signal, "first-integrals", text)
+
+
+def starts_elsewhere(study: Study, integrals: FreeIntegrals) -> StartsElsewhere:
+    """The refusal of a flight whose first integrals are not those of the study, on which the estimates depend.
 
     Args:
         study: The study.
-        integrals: The integrals that the flight shows; None: the study has no plain numbers for them.
-
-    Raises:
-        StartsElsewhere: They are others.
+        integrals: The integrals that the flight shows.
     """
-    if integrals is None or not integrals.differ_and_matter:
-        return
-    rows = zip(integrals.names, integrals.values, integrals.deviations, strict=True)
-    values_text = ", ".join(f"{name} = {value:.3g} ± {deviation:.2g}" for name, value, deviation in rows)
     number, move = max(integrals.moves.items(), key=lambda pair: abs(pair[1]))
-    raise StartsElsewhere(
-        f"the flight did not begin with the study's integrals: its outputs show {values_text} "
+    return StartsElsewhere(
+        f"the flight did not begin with the study's integrals: its outputs show {integrals.values_text} "
         f"(p = {integrals.p_value:.1g}), and {number} would be {abs(move):.3g} of its standard deviations off. "
         f"{start_remedy(study, integrals.names[-1])}"
     )

@@ -29,9 +29,10 @@ from dssc_jax.flight_logs.fit.command_gaps import (
 )
 from dssc_jax.flight_logs.fit.declared_noise import declared_covariance, larger_covariance
 from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinimum, correlation_doubts
-from dssc_jax.flight_logs.fit.first_integrals import free_integrals, require_first_integrals
+from dssc_jax.flight_logs.fit.first_integrals import free_integrals, starts_elsewhere
 from dssc_jax.flight_logs.fit.fitted_numbers import insensitive_numbers, numbers_to_fit, require_stated_times
 from dssc_jax.flight_logs.fit.freed_commands import freed_commands
+from dssc_jax.flight_logs.fit.late_outputs import certain_output_delay
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
 from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch, find_minima
@@ -248,7 +249,11 @@ def fitted_minimum(
     fitted = problem.fitted
     fitted_names = problem.fitted_names
     require_identifiable(fitted_names, marginal_information(search.best.equations.information, fitted))
-    require_first_integrals(study, free_integrals(problem, search.best))
+    integrals = free_integrals(problem, search.best)
+    if integrals is not None and integrals.differ_and_matter:
+        delay = certain_output_delay(problem, search.best, results)
+        if delay is None or integrals.leave_less_than(delay):
+            raise starts_elsewhere(study, integrals)
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
     covariance = averaged_covariance(problem, posteriors, x)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.flight_logs.fit.first_integrals import free_integrals, integral_doubt
 from dssc_jax.flight_logs.fit.late_commands import certain_command_delay, command_delay_warning
 from dssc_jax.flight_logs.fit.least_squares import LEAST_SAMPLES, TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum, minimise
@@ -153,10 +154,25 @@ def replace_prediction(problem: FitProblem, prediction: tuple[np.ndarray, np.nda
     return problem
 
 
+def certain_output_delay(problem: FitProblem, minimum: Minimum, results: Sequence[Explained]) -> Delay | None:
+    """The delay of the outputs, if it certainly explains the residual or a large part of it.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+        results: How well the study describes each channel.
+    """
+    lateness = late_output(problem, minimum)
+    if lateness is None or not lateness.matters(problem.study.loop.sample_time) or not lateness.explains:
+        return None
+    return None if leaves_most(problem, lateness, results) else lateness
+
+
 def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
     """The doubt about outputs, or commands, that are later or earlier than the study predicts, with the remedy.
 
-    The estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
+    Integrals at the first sample that explain the flight better than a delay take its place. The estimates are those
+    without a shift all the same: whether a delay is the log's or the vehicle's is not known.
 
     Args:
         problem: The problem, with the noise of the minimum.
@@ -166,10 +182,14 @@ def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explai
     study = problem.study
     if problem.count.reason:
         return screened_doubts(problem, minimum)
-    lateness = late_output(problem, minimum)
-    is_certain = lateness is not None and lateness.matters(study.loop.sample_time) and lateness.explains
-    if lateness is not None and (not is_certain or leaves_most(problem, lateness, results)):
-        lateness = None
+    lateness = certain_output_delay(problem, minimum, results)
+    integrals = free_integrals(problem, minimum)
+    if (
+        integrals is not None
+        and integrals.differ_and_matter
+        and (lateness is None or integrals.leave_less_than(lateness))
+    ):
+        return (integral_doubt(problem, integrals),)
     remains = "" if lateness is None else remaining_text(problem, minimum, lateness, results)
     if lateness is None or remains:
         delay = certain_command_delay(problem, minimum, results)
@@ -200,7 +220,8 @@ def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explai
         f"these are as much {opposite_side} (p = {lateness.p_value:.1g}): moved by that, {falls}"
         f"{lateness.move_text(problem.named_values(minimum.x))}. {remedy}{remains}"
     )
-    return tuple(SignalWarning(name, "delayed-output", text) for name in names[:1])
+    signal = names[0] if len(names) == 1 else ""  # of several channels: the answer as such
+    return (SignalWarning(signal, "delayed-output", text),)
 
 
 def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
@@ -224,4 +245,5 @@ def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarnin
         "left: they seem to be logged at other times than the study predicts, and the search has ended too early to "
         "tell by how much and what the numbers are without it. Compare the stamps of the log's topics"
     )
-    return tuple(SignalWarning(name, "delayed-output", text) for name in names[:1])
+    signal = names[0] if len(names) == 1 else ""  # of several channels: the answer as such
+    return (SignalWarning(signal, "delayed-output", text),)

@@ -17,6 +17,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.uav.airframe_names import misspelt_names, require_multirotor
 from dssc_jax.models.uav.airframe_properties import (
     SIMULATION_PARAMETERS,
+    contradicted_hover,
     drop_torque_of_single_rotors,
     properties_of,
     require_sizes,
@@ -32,7 +33,12 @@ from dssc_jax.models.uav.airframe_rotors import (
     placed_rotors,
 )
 from dssc_jax.models.uav.desaturation import Desaturation
-from dssc_jax.models.uav.inner_loops.px4_parameters import GAIN_PARAMETERS, gains_from
+from dssc_jax.models.uav.inner_loops.px4_parameters import (
+    GAIN_PARAMETERS,
+    gains_from,
+    require_admissible,
+    unusual_gains,
+)
 from dssc_jax.models.uav.plausibility import implausible
 
 LINE = re.compile(
@@ -250,10 +256,13 @@ def airframe_of(
     if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
         drop_torque_of_single_rotors(vehicle)
     warnings = implausible(flying_vehicle(vehicle, parameters), vehicle)
+    if use_px4_cascade:
+        require_admissible(parameters)
+        warnings += unusual_gains(parameters)
     control = control_entries(parameters, notes, use_px4_cascade)
     note_unmatched_gains(parameters, CASCADE_PARAMETERS if use_px4_cascade else ARTICLE_PARAMETERS, notes)
     note_unused_limits(parameters, use_px4_cascade, notes)
-    warnings += missing_coordinates(parameters)
+    warnings += missing_coordinates(parameters) + contradicted_hover(parameters, geometry)
     return Airframe(vehicle, tuple(notes), control, tuple(warnings))
 
 

@@ -29,10 +29,14 @@ SIH_DEFAULTS: dict[str, float] = {
     "SIH_KDV": 1.0,
 }
 """PX4's defaults in a file for the simulation in hardware, which is one that sets SIH_VEHICLE_TYPE."""
+SIH_MULTIROTORS = {0: "quadrotor", 4: "hexacopter"}
+"""Values of SIH_VEHICLE_TYPE for multirotors; the others are planes, VTOLs and a rover."""
 GYRATION = (0.45, 0.45, 0.6)
 """Radii of gyration over the arm: means of the package's vehicles with sources, which differ by a third."""
 HOVER_SPEED = 500.0
 """Nominal rotor speed in hover [rad/s], where the true one is not known: PX4's parameters contain none."""
+HOVER_FACTOR = 1.25
+"""Factor between a stated hover command and that of mass and thrust, from which they contradict each other; assumed."""
 SIMULATION_PARAMETERS = ("SIH_VEHICLE_TYPE", *SIH_DEFAULTS, *PRODUCTS, "MPC_THR_HOVER")
 """Parameters that are read here."""
 
@@ -94,6 +98,20 @@ def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str
         raise ConfigError("MPC_THR_HOVER", f"must be > 0 and <= 1, got {hover_command:g}")
     notes.append("max_thrust follows from MPC_THR_HOVER, with thrust linear in the command; the file sets no SIH_T_MAX")
     return {"max_thrust": lift / hover_command}
+
+
+def contradicted_hover(parameters: Mapping[str, float], geometry: TomlTable) -> list[str]:
+    """Warn of a hover command MPC_THR_HOVER that is far from the one by mass and largest thrust SIH_T_MAX."""
+    if not {"SIH_T_MAX", "MPC_THR_HOVER"} <= set(parameters):
+        return []
+    by_thrust = hover_thrust(parameters, geometry) / parameters["SIH_T_MAX"]
+    stated = parameters["MPC_THR_HOVER"]
+    if stated / HOVER_FACTOR < by_thrust < HOVER_FACTOR * stated:
+        return []
+    return [
+        f"MPC_THR_HOVER is {stated:g}, and hover takes {by_thrust:.3g} of SIH_T_MAX = {parameters['SIH_T_MAX']:g} N "
+        f"with {parameters['SIH_MASS']:g} kg: the vehicle has the thrust, and PX4's cascade the command"
+    ]
 
 
 def rotors_of(geometry: TomlTable) -> int:
@@ -198,9 +216,18 @@ def properties_of(
 
 
 def with_simulation_defaults(parameters: dict[str, float], notes: list[str]) -> dict[str, float]:
-    """Add PX4's defaults of the simulation in hardware, with a note, if the file is one for it."""
+    """Add PX4's defaults of the simulation in hardware, with a note, if the file is one for it.
+
+    Raises:
+        ConfigError: It is one of another vehicle than a multirotor.
+    """
     if "SIH_VEHICLE_TYPE" not in parameters:
         return parameters
+    if parameters["SIH_VEHICLE_TYPE"] not in SIH_MULTIROTORS:
+        kinds = ", ".join(f"{number} ({kind})" for number, kind in SIH_MULTIROTORS.items())
+        raise ConfigError(
+            "SIH_VEHICLE_TYPE", f"must be that of a multirotor, {kinds}, got {parameters['SIH_VEHICLE_TYPE']:g}"
+        )
     unset = [name for name in SIH_DEFAULTS if name not in parameters]
     if unset:
         notes.append(f"{', '.join(unset)} are PX4's defaults of the simulation in hardware")

@@ -58,7 +58,8 @@ SMALLEST_WEIGHT = 1e-4
 """Smallest yaw weight whose effect on the yaw gain is compensated."""
 LEAST_MISSING = 2.0**-23
 """Share of the largest torque beyond which a torque that the rotors do not give stops the integral: FLT_EPSILON."""
-
+GYRO_CUTOFF = "IMU_GYRO_CUTOFF; 0: no filter"
+SLOPE_CUTOFF = "IMU_DGYRO_CUTOFF; 0: no filter"
 
 TRIPLES = ("attitude_p", "rate_max", "rate_p", "rate_i", "rate_d", "rate_ff", "rate_integral_max", "rate_integral")
 """Fields with a value for roll, pitch and yaw each."""
@@ -101,8 +102,8 @@ class Px4Gains(NamedTuple):
     rate_d: Annotated[tuple[Scalar, ...], Quantity("s^2", "MC_ROLLRATE_D, ..", at_least=0.0)] = (0.003, 0.003, 0.0)
     rate_ff: Annotated[tuple[Scalar, ...], Quantity("s", "MC_ROLLRATE_FF, ..", at_least=0.0)] = (0.0, 0.0, 0.0)
     rate_integral_max: Annotated[tuple[Scalar, ...], Quantity("1", "MC_RR_INT_LIM, ..", at_least=0.0)] = (0.3, 0.3, 0.3)
-    gyro_cutoff: Annotated[float | None, Quantity("Hz", "IMU_GYRO_CUTOFF", above=0.0, law=False)] = 40.0
-    derivative_cutoff: Annotated[float | None, Quantity("Hz", "IMU_DGYRO_CUTOFF", above=0.0, law=False)] = 30.0
+    gyro_cutoff: Annotated[float | None, Quantity("Hz", GYRO_CUTOFF, at_least=0.0, law=False)] = 40.0
+    derivative_cutoff: Annotated[float | None, Quantity("Hz", SLOPE_CUTOFF, at_least=0.0, law=False)] = 30.0
     start: Start = Start.ZERO
     velocity_integral: Annotated[tuple[Scalar, ...], Quantity("m/s^2", "first integrals of velocity, x, y, z up")] = (
         0.0,
@@ -121,7 +122,7 @@ class Px4Gains(NamedTuple):
         return 1.0 / self.frequency
 
     def prepare(self) -> "Px4Gains":
-        """The gains themselves, after a check of the rules that span several fields.
+        """The gains without the filters whose cutoff is 0, after a check of the rules that span several fields.
 
         Raises:
             ConfigError: A triple has not three values, a settled start has no integral gain of the vertical velocity,
@@ -133,7 +134,7 @@ class Px4Gains(NamedTuple):
         if cutoff is not None and not 2.0 * cutoff < self.frequency:
             rule = f"must be below frequency/2 = {0.5 * self.frequency:g} Hz"
             raise ConfigError("gyro_cutoff", f"{rule}, got {cutoff:g} Hz")
-        return self
+        return self._replace(gyro_cutoff=cutoff or None, derivative_cutoff=self.derivative_cutoff or None)
 
     def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
         """k_p of x, y, z and psi: what a command adds to the acceleration at first [1/s]."""

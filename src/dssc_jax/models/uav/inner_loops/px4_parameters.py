@@ -1,9 +1,15 @@
-"""PX4's parameters as the gains of its cascade."""
+"""PX4's parameters as the gains of its cascade.
+
+References:
+    PX4 Autopilot, parameter definitions of mc_pos_control, mc_att_control and mc_rate_control (ranges and units).
+"""
 
 import itertools
 import math
 from collections.abc import Mapping
 
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.uav.inner_loops.px4 import Px4Gains
 
@@ -41,6 +47,68 @@ FACTORED = ("rate_p", "rate_i", "rate_d")
 TILT = "MPC_TILTMAX_AIR"
 GAIN_PARAMETERS = (*PARAMETERS.values(), *itertools.chain(*(TRIPLES | DEGREES).values()), *FACTORS, TILT)
 """All parameters of PX4 that :func:`gains_from` takes."""
+
+RANGES = {
+    "MPC_XY_VEL_P_ACC": (1.2, 5.0),
+    "MPC_XY_VEL_I_ACC": (0.0, 60.0),
+    "MPC_XY_VEL_D_ACC": (0.1, 2.0),
+    "MPC_Z_VEL_P_ACC": (2.0, 15.0),
+    "MPC_Z_VEL_I_ACC": (0.2, 3.0),
+    "MPC_Z_VEL_D_ACC": (0.0, 2.0),
+    "MPC_THR_MIN": (0.05, 0.5),
+    "MPC_THR_HOVER": (0.1, 0.8),
+    TILT: (20.0, 89.0),
+    "MC_ROLL_P": (0.0, 12.0),
+    "MC_PITCH_P": (0.0, 12.0),
+    "MC_YAW_P": (0.0, 5.0),
+    "MC_ROLLRATE_P": (0.01, 0.5),
+    "MC_PITCHRATE_P": (0.01, 0.6),
+    "MC_YAWRATE_P": (0.0, 0.6),
+    "MC_ROLLRATE_D": (0.0, 0.01),
+    "MC_ROLLRATE_K": (0.01, 5.0),
+    "MC_PITCHRATE_K": (0.01, 5.0),
+    "MC_YAWRATE_K": (0.0, 5.0),
+}
+"""The range that PX4 states for a parameter, in its unit."""
+LEAST_RATE = 10.0
+"""Least usual limit of a body rate [degrees/s]; assumed. PX4's ranges begin at 0."""
+
+
+def require_admissible(parameters: Mapping[str, float]) -> None:
+    """Require values of PX4's parameters that the cascade admits.
+
+    Raises:
+        ConfigError: It does not admit one; where it is and the rule are in PX4's name and unit.
+    """
+    quantities = quantities_of(Px4Gains)
+    fields = {name: field for field, name in PARAMETERS.items()}
+    fields |= {name: field for field, names in (TRIPLES | DEGREES).items() for name in names}
+    fields[TILT] = "tilt_max"
+    for name, field in fields.items():
+        if name not in parameters:
+            continue
+        is_angle = name == TILT or field in DEGREES
+        value = math.radians(parameters[name]) if is_angle else parameters[name]
+        rule = quantities[field].violated_by(value, value)
+        if rule is None:
+            continue
+        if is_angle:
+            rule += f" {quantities[field].unit}, and PX4 has degrees"
+        raise ConfigError(name, f"{rule}, got {parameters[name]:g}")
+
+
+def unusual_gains(parameters: Mapping[str, float]) -> list[str]:
+    """Warn of gains and limits outside of the ranges that PX4 states, as after a slip of a unit."""
+    warnings = []
+    for name, (low, high) in RANGES.items():
+        value = parameters.get(name, low)
+        if not low <= value <= high:
+            unit = " degrees" if name == TILT else ""
+            warnings.append(f"{name} is {value:g}{unit}; PX4's range is {low:g} to {high:g}: check the units")
+    for name in itertools.chain(*DEGREES.values()):
+        if parameters.get(name, LEAST_RATE) < LEAST_RATE:
+            warnings.append(f"{name} is {parameters[name]:g} degrees/s; usual are some hundred: check the units")
+    return warnings
 
 
 def triple(field: str, names: tuple[str, str, str], parameters: Mapping[str, float]) -> list[float]:
