@@ -1,6 +1,7 @@
 """``bench_channels.h``: the controllers as functions of arrays, which the bench calls."""
 
 from dssc_jax.flight_code.controller import COMMAND, FlightCode, SampledController
+from dssc_jax.flight_code.header import LARGEST_ANGLE, is_angle
 from dssc_jax.flight_code.recording import row_names
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.names import c_string
@@ -34,7 +35,7 @@ def channels_text(code: FlightCode) -> str:
         most_results=str(max(len(row_names(controller)) for controller in controllers)),
         functions="\n\n".join(channel_functions(controller) for controller in controllers),
         names=names,
-        shapes=[channel_shape(controller) for controller in controllers],
+        shapes=[channel_shape(code, controller) for controller in controllers],
         prepare=prepare,
         restart=restart,
         check=check,
@@ -78,9 +79,12 @@ def name_tables(controller: SampledController) -> list[str]:
     return lines
 
 
-def channel_shape(controller: SampledController) -> str:
-    """The row of a channel in the bench's table: its label, counts and names."""
+def channel_shape(code: FlightCode, controller: SampledController) -> str:
+    """The row of a channel in the bench's table: its label, counts, signals whose size is checked, and names."""
     name = controller.prefix
     label = c_string(f"{controller.channel}: " if controller.channel else "")
     counts = f"{len(controller.parameters)}u, {len(controller.states)}u, {len(row_names(controller))}u"
-    return f"{{{label}, {counts}, results_of_{name}, numbers_of_{name}}},"
+    positions = [position for position, signal in enumerate(controller.signals) if signal.endswith(".y")]
+    largest = f"{LARGEST_ANGLE:g}" if is_angle(code.study, controller) else "HUGE_VAL"
+    checked = f"{', '.join(f'{position}u' for position in positions)}, {largest}"
+    return f"{{{label}, {counts}, {checked}, results_of_{name}, numbers_of_{name}}},"

@@ -13,7 +13,7 @@ from dssc_jax.flight_code.c_files import (
     source_file,
 )
 from dssc_jax.flight_code.controller import COMMAND, FlightCode, SampledController, TracedFunction
-from dssc_jax.flight_code.header import file_comment
+from dssc_jax.flight_code.header import LARGEST_ANGLE, file_comment, is_angle
 from dssc_jax.flight_code.library import description_text
 from dssc_jax.flight_code.parameters import assignment_lines, check_lines
 from dssc_jax.flight_code.template_files import fill
@@ -139,6 +139,16 @@ def start_function(code: FlightCode, controller: SampledController) -> FunctionT
     return function
 
 
+def valid_signals(code: FlightCode, controller: SampledController) -> str:
+    """The condition in C that all signals are finite, and angles not so large that a turn is below their resolution."""
+    conditions = [finite_condition(controller.signals)]
+    if is_angle(code.study, controller):
+        limit = c_literal(controller.real.type(LARGEST_ANGLE), controller.real)
+        fabs = absolute_value(controller.real)
+        conditions += [f"{fabs}({name}) <= {limit}" for name in controller.signals if name.endswith(".y")]
+    return "\n        && ".join(conditions)
+
+
 def step_function(code: FlightCode, controller: SampledController) -> FunctionText:
     """The function in C for one sample.
 
@@ -172,7 +182,7 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
     function.text = fill(
         "step.c",
         name=name,
-        signals_finite=finite_condition(controller.signals),
+        signals_valid=valid_signals(code, controller),
         state_before=state_before if updated_members else "",
         parameters=parameter_pointer(controller, function),
         computation=computation,
@@ -198,7 +208,7 @@ def transfer_function(code: FlightCode, controller: SampledController, traced: T
         "transfer.c",
         name=controller.prefix,
         real=controller.c_real,
-        arguments_finite=finite_condition([*controller.signals, "command"]),
+        arguments_valid=f"{valid_signals(code, controller)}\n        && {finite_condition(['command'])}",
         parameters=parameter_pointer(controller, function),
         computation=function.lines,
         results_finite=finite_condition([*updated_members, *COMPUTED]),

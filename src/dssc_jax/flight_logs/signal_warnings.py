@@ -7,6 +7,7 @@ from typing import Annotated, Literal, NamedTuple, TypeAlias
 from dssc_jax.core.quantities import Quantity
 
 WarningCode: TypeAlias = Literal[
+    "actuator-start",
     "another-command",
     "another-reference",
     "another-unit",
@@ -147,6 +148,11 @@ class FlightWarning(SignalWarning):
     log: Annotated[str, Quantity("", "name of the log that it concerns")]
 
 
+def possible_causes(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
+    """The warnings of what may leave a residual: faults of a log, and limits that the study lacks."""
+    return tuple(warning for warning in warnings if warning.code in FAULTS or warning.code == "limited-command")
+
+
 def signal_warnings(hints: Mapping[str, Hint]) -> tuple[SignalWarning, ...]:
     """The warnings for hints, which say by signal or number what is wrong with it."""
     return tuple(SignalWarning(name, hint.code, f"{name} {hint.text}") for name, hint in hints.items())
@@ -202,6 +208,6 @@ def joined_warnings(of_replay: Iterable[SignalWarning], of_fit: Iterable[SignalW
     told = {(warning.signal, warning.code) for warning in fitted}
     remaining = [warning for warning in of_replay if (warning.signal, warning.code) not in told]
     all_warnings = causes_first(hedged((*remaining, *fitted)))
-    mended = [warning for warning in fitted if warning.code == "command-offset"]
+    mended = [warning for warning in fitted if warning.code in ("actuator-start", "command-offset")]
     others = [warning for warning in all_warnings if warning not in mended]
     return (*mended, *others)

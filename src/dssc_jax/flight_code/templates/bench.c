@@ -27,6 +27,8 @@ typedef struct {
     unsigned parameters;
     unsigned states;
     unsigned results; /* command, state, telemetry */
+    unsigned y, y_ref; /* positions in a row */
+    double largest; /* of both; larger angles are refused */
     const char *const *result_names;
     const char *const *parameter_names;
 } channel_shape;
@@ -127,6 +129,12 @@ static bool all_finite(const real *numbers, unsigned count)
     return true;
 }
 
+static bool are_valid(const channel_shape *of, const real *row)
+{
+    return all_finite(row, SIGNALS) && fabs((double)row[of->y]) <= of->largest
+        && fabs((double)row[of->y_ref]) <= of->largest;
+}
+
 static int replay(FILE *file)
 {
     char head[sizeof magic - 1 + 4];
@@ -161,7 +169,7 @@ static int replay(FILE *file)
                 continue;
             }
             const unsigned flag = advance(channel, row, results, true);
-            const unsigned expected = !all_finite(row, SIGNALS) ? 1u : (!all_finite(row + SIGNALS, kept) ? 2u : 0u);
+            const unsigned expected = !are_valid(of, row) ? 1u : (!all_finite(row + SIGNALS, kept) ? 2u : 0u);
             const real *const wanted = expected == 0 ? row + SIGNALS : held;
             diverged = expected != 0;
             if (flag != expected) {
@@ -215,7 +223,7 @@ static int hostile(unsigned long count)
                 row[i] = hostile_number();
             }
             const unsigned flag = advance(channel, row, results, random_bits() % 2 == 0);
-            bool right = (flag == 1) == !all_finite(row, SIGNALS) && flag <= 2 && all_finite(results, kept);
+            bool right = (flag == 1) == !are_valid(of, row) && flag <= 2 && all_finite(results, kept);
             for (unsigned i = 0; i < kept && flag != 0; i++) {
                 right = right && same(results[i], held[i]);
             }

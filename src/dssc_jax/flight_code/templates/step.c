@@ -2,7 +2,7 @@ unsigned @{name}_step(
     @{name}_controller *controller, @{name}_measurement measurement,
     @{name}_reference reference, @{name}_command *command, @{name}_telemetry *telemetry)
 {
-    if (!(@{signals_finite})) {
+    if (!(@{signals_valid})) {
         *command = controller->last;
         return 1u;
     }

@@ -2,7 +2,7 @@ unsigned @{name}_transfer(
     @{name}_controller *controller, @{name}_measurement measurement,
     @{name}_reference reference, @{real} command)
 {
-    if (!(@{arguments_finite})) {
+    if (!(@{arguments_valid})) {
         return 1u;
     }
     @{name}_state updated;

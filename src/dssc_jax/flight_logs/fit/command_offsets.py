@@ -25,10 +25,10 @@ LARGE_PART = 0.5  # share of the residual that may be left if the constant expla
 
 
 class MendedCommand(NamedTuple):
-    """The fit of a log without the constant in its command.
+    """The fit of a log without what is wrong with its command, such as a constant in it.
 
     Args:
-        warning: What is said of the constant.
+        warning: What is said of it.
         problem: The problem, with the noise of its minimum.
         minimum: Its minimum.
         results: How well the study describes each channel there.
@@ -38,6 +38,11 @@ class MendedCommand(NamedTuple):
     problem: FitProblem
     minimum: Minimum
     results: list[Explained]
+
+    @property
+    def residual(self) -> float:
+        """Root mean square of what remains of the first channel's residual."""
+        return self.results[0].residual
 
     @property
     def leaves_noise(self) -> bool:

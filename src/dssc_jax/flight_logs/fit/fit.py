@@ -63,6 +63,7 @@ from dssc_jax.flight_logs.hints.starts import fixed_integrals
 from dssc_jax.flight_logs.reading.gaps import gap_text
 from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.flight_logs.replay import LogReplay, replay_log, require_same_signals
+from dssc_jax.flight_logs.signal_warnings import SignalWarning, possible_causes
 from dssc_jax.study import Study
 
 
@@ -111,7 +112,9 @@ def fit_log(
     study = study.without_sweep()
     candidates = tuple(numbers_to_fit(study, names))
     require_stated_times(study, candidates)
-    require_same_signals(log, replay_log(study, log, commands=False) if replay is None else replay)
+    replay = replay_log(study, log, commands=False) if replay is None else replay
+    require_same_signals(log, replay)
+    known = possible_causes(replay.warnings)
     predictions = {} if predictions is None else predictions
     sampled = sampled_log(study, log)
     if sampled.gaps and not allow_damaged:
@@ -141,7 +144,7 @@ def fit_log(
         if not unidentified.update_insensitive(insensitive):
             try:
                 moves = command_moves(problem, search.best, comparisons)
-                return fitted_minimum(problem, search, unidentified.kept_widths, moves)
+                return fitted_minimum(problem, search, unidentified.kept_widths, moves, known)
             except NotIdentifiable as refusal:
                 if names or refusal.number is None:
                     raise
@@ -229,7 +232,11 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
 
 
 def fitted_minimum(
-    problem: FitProblem, search: MinimumSearch, unidentified_widths: dict[str, float], moves: np.ndarray
+    problem: FitProblem,
+    search: MinimumSearch,
+    unidentified_widths: dict[str, float],
+    moves: np.ndarray,
+    known: tuple[SignalWarning, ...],
 ) -> Fitted:
     """The estimate at the best minimum, with its covariance, if it passes all checks.
 
@@ -238,6 +245,7 @@ def fitted_minimum(
         search: Its minima.
         unidentified_widths: Numbers that keep their laws, with the width that the flight leaves over that of the law.
         moves: How far other commands that may have flown move the coordinates, shape (k, p).
+        known: Faults of the log that its replay tells.
     """
     study = problem.study
     x = search.best.x
@@ -272,7 +280,7 @@ def fitted_minimum(
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     noise_by_channel = dict(zip(channels, noises, strict=True))
     doubts_of_residuals = (
-        *doubts_of_estimates(problem, search.best, results, np.sqrt(np.diag(covariance))),
+        *doubts_of_estimates(problem, search.best, results, np.sqrt(np.diag(covariance)), known),
         *held_doubts(problem.log),
         *freed_doubts(problem.log),
         *doubts_of_commands,

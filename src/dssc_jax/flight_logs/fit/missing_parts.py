@@ -263,6 +263,8 @@ FRICTION = Part(
     is_possible=is_against,
     forces=friction_forces,
     has_speed=True,
+    leaves="friction also holds at rest, which leaves a residual of its own, or another part acts beside it or in its "
+    "place",
 )
 
 STEADY_WIND = Part(

@@ -4,8 +4,11 @@ A cause that explains the residual leaves nothing to the next one: a constant in
 part that the study lacks, another start.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
+from dssc_jax.flight_logs.fit.begun_actuators import begun_actuator
 from dssc_jax.flight_logs.fit.command_dropouts import dropout_doubts
 from dssc_jax.flight_logs.fit.command_offsets import MendedCommand, mended_command
 from dssc_jax.flight_logs.fit.joint_causes import joint_doubts
@@ -15,9 +18,45 @@ from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.outliers import outlier_doubts
 from dssc_jax.flight_logs.fit.part_doubts import NO_DOUBTS, PartDoubts, part_doubts, part_doubts_of_refusal
 from dssc_jax.flight_logs.fit.refusals import Explained, doubts, noise_doubts
+from dssc_jax.flight_logs.fit.search_limits import SearchCount
 from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts
-from dssc_jax.flight_logs.fit.start_speeds import start_speed_doubts
+from dssc_jax.flight_logs.fit.start_speeds import AS_SMALL, fitted_start, start_speed_doubts
 from dssc_jax.flight_logs.signal_warnings import SignalWarning, hedged
+
+
+def explaining_command(problem: FitProblem, best: Minimum, results: list[Explained]) -> MendedCommand | None:
+    """The fit with what explains the residual by the command alone; None if nothing does.
+
+    That is an actuator under the first command, or else a constant which the vehicle did not answer.
+
+    Args:
+        problem: The least-squares problem of the log.
+        best: Its minimum.
+        results: How well each channel is described.
+    """
+    begun = begun_actuator(problem, best, results)
+    mended = mended_command(problem, best, results)
+    if begun is not None and (mended is None or begun.residual <= AS_SMALL * mended.residual):
+        return begun
+    return mended
+
+
+def start_in_place_of(mended: MendedCommand, problem: FitProblem, best: Minimum) -> tuple[SignalWarning, ...]:
+    """The doubt about the speed at the start where this explains a flight as well without what is wrong with a command.
+
+    Args:
+        mended: The fit with what explains the residual by the command.
+        problem: The least-squares problem of the log.
+        best: Its minimum.
+    """
+    if mended.leaves_noise:
+        return ()
+    uncounted = replace(problem, count=SearchCount())
+    alone = fitted_start(uncounted, best)
+    beside = fitted_start(mended.problem, mended.minimum)
+    if alone is None or beside is None or alone.residual > AS_SMALL * beside.residual:
+        return ()
+    return start_speed_doubts(uncounted, best, mended.residual)
 
 
 def refusal_causes(
@@ -30,8 +69,11 @@ def refusal_causes(
         best: Its minimum.
         results: How well each channel is described.
     """
-    mended = mended_command(problem, best, results)
+    mended = explaining_command(problem, best, results)
     if mended is not None:
+        doubts_of_start = start_in_place_of(mended, problem, best)
+        if doubts_of_start:
+            return hedged(doubts_of_start), True
         return causes_beside_offset(mended), mended.leaves_noise
     doubts_of_outliers = outlier_doubts(problem, best.x)
     doubts_of_dropouts = dropout_doubts(problem, best)
@@ -61,11 +103,18 @@ def refusal_causes(
 def causes_beside_offset(mended: MendedCommand) -> tuple[SignalWarning, ...]:
     """A constant in the command, and the likely causes of what the log without it leaves, if that is not noise."""
     others = () if mended.leaves_noise else refusal_causes(mended.problem, mended.minimum, mended.results)[0]
-    return (mended.warning, *(warning for warning in others if warning.code != "command-offset"))
+    return (
+        mended.warning,
+        *(warning for warning in others if warning.code not in ("command-offset", "actuator-start")),
+    )
 
 
 def doubts_of_estimates(
-    problem: FitProblem, best: Minimum, results: list[Explained], deviations: np.ndarray
+    problem: FitProblem,
+    best: Minimum,
+    results: list[Explained],
+    deviations: np.ndarray,
+    known: tuple[SignalWarning, ...] = (),
 ) -> tuple[SignalWarning, ...]:
     """The likely causes of a residual beside which a fit has estimates, then the doubts about it.
 
@@ -74,12 +123,13 @@ def doubts_of_estimates(
         best: Its minimum.
         results: How well each channel is described.
         deviations: Standard deviations of the fitted coordinates, shape (f,).
+        known: Faults of the log that are told beside the fit.
     """
     doubts_of_noise = noise_doubts(problem, best.x, results)
-    mended = mended_command(problem, best, results)
+    mended = explaining_command(problem, best, results)
     if mended is not None:
-        causes = causes_beside_offset(mended)
-        return (*causes, *doubts(problem, best.x, results, causes), *doubts_of_noise)
+        causes = start_in_place_of(mended, problem, best) or causes_beside_offset(mended)
+        return (*causes, *doubts(problem, best.x, results, (*causes, *known)), *doubts_of_noise)
     parts = NO_DOUBTS
     doubts_of_delays = dropout_doubts(problem, best)
     if not doubts_of_delays:
@@ -100,6 +150,6 @@ def doubts_of_estimates(
     causes = (*doubts_of_start, *doubts_of_outliers, *doubts_of_delays, *parts.warnings)
     return (
         *causes,
-        *doubts(problem, best.x, results, causes),
+        *doubts(problem, best.x, results, (*causes, *known)),
         *(doubt for doubt in doubts_of_noise if doubt.signal not in with_outliers),
     )

@@ -92,8 +92,10 @@ def limited_hint(
         remedy = f"Give it {fields}"
     else:
         remedy = (
-            "Its integral goes on at a limit, as behind an actuator with one. A fit takes the logged command, which "
-            'is right; for what the study predicts, give it that limit ([unmodelled] kind = "saturation")'
+            "Its integral goes on at a limit, as behind an actuator with one: if the vehicle got this command, a fit "
+            "takes the right one, and the study needs that limit for what it predicts ([unmodelled] "
+            'kind = "saturation"). '
+            "If only the log has the limit, leave its column out, and a fit takes the analysed controller's"
         )
     text = (
         f"stays {limits.text(unit)}, and within these limits it is what the analysed controller gives, to "

@@ -74,8 +74,9 @@ def start_remedy(study: Study, name: str) -> str:
     laws = f"{field} = [0.0, 0.0, {{ normal = [0.0, 1.0] }}] in [{section}]"
     if is_settled(study):
         return (
-            "The vehicle was not yet in the equilibrium from which the study starts: begin the log later, or at the "
-            f"take-off without {section}.start, or give the integrals laws, such as {laws}, which a fit estimates"
+            "The vehicle was not yet in the equilibrium from which the study starts, or noise in its commands moves "
+            f"it: give the integrals laws, such as {laws}, which a fit estimates, begin the log later, or at the "
+            f"take-off without {section}.start"
         )
     return (
         f"Begin at the take-off, set {section}.start = 'settled' for a vehicle that hovers in still air or in a steady "

@@ -54,6 +54,13 @@ MIXER_REMEDY = (
 )
 FILE_REMEDY = "a PX4 airframe or parameter file is needed"
 """What to do about a file without rotors."""
+FEWEST_OF_ALL_FORCES = 6
+"""The fewest tilted rotors that may give any force and moment together."""
+FEW_TILTED = (
+    "the allocation gives thrust and moments exactly, and lets side forces be; PX4's gives them all as nearly as so "
+    "few tilted rotors can, and commands differ by a per cent or so"
+)
+"""What to know of PX4's cascade with fewer tilted rotors than that."""
 GAIN = re.compile(r"M(?:P?)C_\w+_(?:P|I|D|FF|K)(?:_ACC)?")
 """Names of PX4's gains."""
 PREFIXES = ("CA_", "SIH_", "MC_", "MPC_", "IMU_GYRO_", "IMU_DGYRO_", "THR_MDL_FAC")
@@ -249,9 +256,19 @@ def airframe_of(
     rotors = placed_rotors(parameters)
     require_sizes(rotors, parameters)
     if arm is not None or are_ratios(rotors):
+        if are_ratios(rotors):
+            lengths = "SIH_L_PITCH and SIH_L_ROLL" if arm is None else f"the stated length, {arm:g} m"
+            notes.append(f"positions are ratios, and became metres by {lengths}")
+        else:
+            notes.append(f"positions in metres were multiplied by the stated {arm:g}")
         rotors = in_metres(rotors, parameters)
-        notes.append("positions are ratios, and became metres by the stated length, or SIH_L_PITCH and SIH_L_ROLL")
     geometry = geometry_of(rotors)
+    if (
+        use_px4_cascade
+        and len(rotors) < FEWEST_OF_ALL_FORCES
+        and any("axis" in entry for entry in geometry.get("rotor", ()))
+    ):
+        notes.append(FEW_TILTED)
     vehicle: TomlTable = {"kind": "m600_quadrotor"} | geometry | properties_of(parameters, geometry, hover_speed, notes)
     if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
         drop_torque_of_single_rotors(vehicle)

@@ -15,7 +15,9 @@ from dssc_jax.models.uav.allocation import flying_allocation
 from dssc_jax.models.uav.vehicle import QUADROTOR, ROUNDED_TO_ZERO, Rotor, RotorCoefficients, Vehicle
 
 SIMILAR = 0.01
-"""Largest relative deviation from the mean at which rotors count as equal."""
+"""Largest relative deviation from the mean at which rotors' thrust coefficients count as equal."""
+ROUNDED = 1e-4
+"""Largest relative deviation from the mean at which distances and torques of rotors are equal but for rounding."""
 RATIOS = (-1.0, -0.866025, -0.866, -0.707, -0.5, 0.0, 0.5, 0.707, 0.866, 0.866025, 1.0)
 """Coordinates that occur in PX4's generic airframes, which give ratios in place of metres."""
 MULTIROTOR = 0
@@ -65,15 +67,15 @@ class PlacedRotor(NamedTuple):
     moment: float
 
 
-def are_similar(values: list[float]) -> bool:
-    """Whether the values differ from their mean by at most the share ``SIMILAR`` of it, and so count as equal."""
+def are_equal(values: list[float], share: float) -> bool:
+    """Whether the values differ from their mean by at most a share of it."""
     mean = sum(values) / len(values)
-    return all(abs(value - mean) <= SIMILAR * abs(mean) for value in values)
+    return all(abs(value - mean) <= share * abs(mean) for value in values)
 
 
 def require_common(values: list[float], subject: str) -> None:
     """Require that all rotors have the same value of a parameter; raises ConfigError."""
-    if not are_similar(values):
+    if not are_equal(values, SIMILAR):
         values_text = ", ".join(f"{value:g}" for value in values)
         raise ConfigError(subject, f"must be the same for all rotors, which have one largest thrust; got {values_text}")
 
@@ -143,7 +145,7 @@ def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
     distances = [math.hypot(x, y) for x, y, _ in places]
     arm = sum(distances) / len(distances)
     mean_moment = sum(map(abs, moments)) / len(moments)
-    is_regular = are_similar(distances) and are_similar([abs(moment) for moment in moments])
+    is_regular = are_equal(distances, ROUNDED) and are_equal([abs(moment) for moment in moments], ROUNDED)
     is_level = all(z == 0.0 for _, _, z in places)
     signs = [-math.copysign(1.0, moment) for moment in moments]  # of the drag torque, s_i
     if is_upright and is_regular and is_level:

@@ -307,7 +307,8 @@ def rotor_sentences(params: UavParams) -> tuple[str, ...]:
     sentences = [
         "Commands are `u_p` of each channel: velocities along x, y, z [m/s] and the rate of yaw [rad/s].",
         "World axes are x, y, z up, body axes forward, left, up. From NED and FRD: (x, y, z) = (east, north, -down), "
-        "a body vector (a, b, c) becomes (a, -b, -c), and yaw counts counter-clockwise from x.",
+        "a body vector (a, b, c) becomes (a, -b, -c), and yaw counts counter-clockwise from x. PX4's quaternion "
+        "(w, x, y, z) becomes (w + z, x + y, x - y, w - z)/sqrt(2).",
         f"A rotor gives at most {params.rotor_limit:.6g} N as the mixer knows it. PX4's command of a motor, from 0 to "
         f"1, is its thrust over that: `rotor_0`/{params.rotor_limit:.6g} where THR_MDL_FAC = 0.",
         "Parameters that end in `_0`, `_1`, `_2` are those of roll, pitch and yaw; of `velocity_integral` of x, y, z.",

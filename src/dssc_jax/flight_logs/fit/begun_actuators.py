@@ -1,0 +1,102 @@
+"""Logs that begin under a command: the actuator has followed it for a while, and the study's begins at rest.
+
+Until the study's actuator has caught up, the plant lacks that force. A linear actuator at rest in its equilibrium under
+the first command is one at rest under 0, with a constant force beside it.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from dssc_jax.flight_logs.fit.command_offsets import LARGE_PART, MendedCommand
+from dssc_jax.flight_logs.fit.least_squares import FitProblem
+from dssc_jax.flight_logs.fit.minima import Minimum, reweighted_minimum
+from dssc_jax.flight_logs.fit.prediction import Prediction
+from dssc_jax.flight_logs.fit.refits import Refit, refit
+from dssc_jax.flight_logs.fit.refusals import Explained, explain, signal_and_unit
+from dssc_jax.flight_logs.hints.references import median_values
+from dssc_jax.flight_logs.reading.reader import signal_name
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
+from dssc_jax.study import Study
+
+
+def steady_gain(study: Study) -> float | None:
+    """The steady output of the actuator over its constant input, in a study of one channel; None: it is not linear."""
+    (model,) = study.loop.unmodelled
+    (params,) = study.params(median_values(study)).unmodelled
+    if model.linear is None:
+        return None
+    system = model.linear(params)
+    a = np.array(system.a, float).reshape(len(system.b), len(system.b))
+    if not len(a) or np.linalg.matrix_rank(a) < len(a):  # without a memory, or with an integral
+        return None
+    through_state = np.array(system.c, float) @ np.linalg.solve(a, np.array(system.b, float))
+    return float(system.d) - float(through_state)
+
+
+def begun(predict: Prediction, first: float, gain: float) -> Prediction:
+    """The prediction with an actuator that begins in its equilibrium under a command.
+
+    Args:
+        predict: The prediction with one that begins at rest.
+        first: The command [u].
+        gain: Steady gain of the actuator.
+    """
+
+    def prediction(
+        values: np.ndarray, commands: np.ndarray, forces: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The prediction for the deviations from the command, beside the force of the actuator under it."""
+        force = gain * first + (np.zeros(commands.shape[1]) if forces is None else forces)
+        return predict(values, commands - first, force)
+
+    return prediction
+
+
+def begun_actuator(problem: FitProblem, minimum: Minimum, results: list[Explained]) -> MendedCommand | None:
+    """The fit with an actuator that has followed the first command; None if that explains no large part.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+        results: How well the study describes each channel.
+    """
+    is_doubtful = any(result.is_doubtful for result in results)
+    if problem.count.is_stopped or not is_doubtful or len(problem.log.commands) > 1 or len(problem.readings) != 1:
+        return None
+    first = float(problem.log.commands[0, 0])
+    gain = steady_gain(problem.study)
+    if gain is None or first == 0.0:
+        return None
+    mended = refit(replace(problem, predict=begun(problem.predict, first, gain)), minimum, problem.log)
+    residual = mended.residual(0)
+    logged_residual = refit(problem, minimum, problem.log).residual(0)
+    if not residual < LARGE_PART * min(results[0].residual, logged_residual):
+        return None
+    end = reweighted_minimum(mended.problem, mended.minimum)
+    name = signal_name(problem.study.loop.channels[0], "u_total")
+    y, unit = signal_and_unit(problem, 0)
+    command = problem.study.units[0].of("u")
+    text = (
+        f"{name} begins at {first:.4g} {command}, and the actuator seems to have followed it before, where the study's "
+        f"begins at rest: with that the residual of {y} falls from {logged_residual:.3g} to {residual:.3g} {unit} rms"
+        f"{moved_text(problem, minimum, Refit(mended.problem, end))}. Begin the log where the command is 0. "
+        f"Or give its column an offset of {-first:.4g}: a constant disturbance is then estimated {first:.4g} {command} "
+        "too large"
+    )
+    warning = SignalWarning(name, "actuator-start", text)
+    return MendedCommand(warning, mended.problem, end, explain(mended.problem, end.x))
+
+
+def moved_text(problem: FitProblem, minimum: Minimum, mended: Refit) -> str:
+    """The number that moves farthest, with both values, in words.
+
+    Args:
+        problem: The problem.
+        minimum: Its minimum.
+        mended: The fit with the actuator.
+    """
+    moves = np.abs(mended.minimum.x - minimum.x)[problem.fitted]
+    place = problem.fitted[int(np.argmax(moves))]
+    value, value_without = problem.values(mended.minimum.x)[place], problem.values(minimum.x)[place]
+    return f", and {problem.names[place]} is {value:.4g} in place of {value_without:.4g}"
