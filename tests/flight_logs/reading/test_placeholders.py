@@ -65,6 +65,18 @@ def test_an_output_that_drops_to_zero_again_and_again(noise):
     assert placeholder(values, True)[0] == 0.0
 
 
+def test_an_output_that_drops_to_zero_for_a_few_readings():
+    """Three times for four readings; a plateau that is longer, or of another value each time, is none."""
+    values = 2.0 + np.sin(0.02 * ROWS)
+    for begin in (100, 250, 430):
+        values[begin : begin + 4] = 0.0
+    assert placeholder(values, True) == (0.0, 12)
+    values[430:434] = 0.1
+    assert placeholder(values, True) is None
+    values[430:450] = 0.0
+    assert placeholder(values, True) is None
+
+
 def test_a_log_with_such_a_number_is_refused(tmp_path):
     values = noisy()
     values[::30] = -9999.0

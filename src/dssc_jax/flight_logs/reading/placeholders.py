@@ -9,6 +9,7 @@ LEAST_REPEATED = 3  # readings of one value that may stand for missing ones
 LEAST_OTHERS = 10  # different values of the others: a signal of few levels has none that is far from all others
 FAR = 10.0  # factor on the range of the others: a farther value is no reading
 OUTSTANDING = 10.0  # factor on the usual change between readings: a farther value than both neighbours is no reading
+LONGEST = 10  # readings of a dropout
 MOSTLY = 0.8  # share of a placeholder's readings that are so far from their neighbours
 NINES = tuple(sign * (10.0**digits - 1.0) for digits in range(2, 10) for sign in (-1.0, 1.0))
 BINARY = tuple(value for bits in (15, 16, 31, 32) for value in (2.0**bits - 1.0, -(2.0**bits)))
@@ -57,16 +58,19 @@ def dropout_value(values: np.ndarray) -> float | None:
     if len(changes) < LEAST_OTHERS or not changes.any():
         return None
     usual_change = float(np.median(changes[changes > 0.0]))
-    is_jump = changes > OUTSTANDING * usual_change
-    jumps_away = values[1:-1][is_jump[:-1] & is_jump[1:]]
-    candidates, counts = np.unique(jumps_away, return_counts=True)
+    begins = np.append(0, np.flatnonzero(changes) + 1)  # of runs of one value
+    lengths = np.diff(np.append(begins, len(values)))
+    is_jump = changes[begins[1:] - 1] > OUTSTANDING * usual_change
+    is_dropout = is_jump[:-1] & is_jump[1:] & (lengths[1:-1] <= LONGEST)
+    drops = values[begins[1:-1]][is_dropout]
+    candidates, counts = np.unique(drops, return_counts=True)
     if not candidates.size:
         return None
-    commonest = int(np.argmax(counts))
-    value = float(candidates[commonest])
+    value = float(candidates[int(np.argmax(counts))])
     repeats = int(np.count_nonzero(values == value))
-    is_dropout = repeats >= LEAST_REPEATED and counts[commonest] >= MOSTLY * repeats
-    return value if is_dropout else None
+    dropped = int(lengths[1:-1][is_dropout][drops == value].sum())
+    is_usual = counts.max() >= LEAST_REPEATED and dropped >= MOSTLY * repeats
+    return value if is_usual else None
 
 
 def require_no_placeholder(name: str, values: np.ndarray) -> None:
