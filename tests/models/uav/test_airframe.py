@@ -218,6 +218,8 @@ def test_an_inertia_that_the_file_states_in_part_counts():
     assert found.vehicle["body_inertia"] == [0.02, *estimated[1:]]
     assert "about the other axes is estimated" in " ".join(found.notes)
     assert "the file does not set SIH_IYY, SIH_IZZ" in " ".join(found.notes)
+    with pytest.raises(ConfigError, match="SIH_IYY, SIH_IZZ: must be set, too: with estimates of them, SIH_IXX = 1,"):
+        read_airframe(QUAD + "\nparam set SIH_IXX 1.0", mass=2.0)
     torque = read_airframe(QUAD + "\nparam set SIH_Q_MAX 0.1", mass=2.0)
     assert "for want of SIH_T_MAX" in " ".join(torque.notes)
 

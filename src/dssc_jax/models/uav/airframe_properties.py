@@ -62,6 +62,9 @@ def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) 
     """Return the moments of inertia [kg m^2]; those that the file lacks are estimated from mass and arm [m].
 
     An estimate adds a note.
+
+    Raises:
+        ConfigError: No body has the stated ones and the estimates together.
     """
     missing = [name for name in INERTIA if name not in parameters]
     if missing:
@@ -71,7 +74,15 @@ def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) 
             f"{', '.join(missing)}"
         )
     estimates = [parameters["SIH_MASS"] * (radius * arm) ** 2 for radius in GYRATION]
-    return [parameters.get(name, estimate) for name, estimate in zip(INERTIA, estimates, strict=True)]
+    inertia = [parameters.get(name, estimate) for name, estimate in zip(INERTIA, estimates, strict=True)]
+    if missing and 2.0 * max(inertia) > sum(inertia):
+        values = ", ".join(f"{name} = {value:.3g}" for name, value in zip(INERTIA, inertia, strict=True))
+        raise ConfigError(
+            ", ".join(missing),
+            f"must be set, too: with estimates of {'it' if len(missing) == 1 else 'them'}, {values} kg m^2, one moment "
+            "is larger than the sum of the others, as of no body",
+        )
+    return inertia
 
 
 def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str]) -> TomlTable:

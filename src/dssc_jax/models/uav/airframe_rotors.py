@@ -182,7 +182,8 @@ def errors_in_px4_names(parameters: Mapping[str, float]) -> Iterator[None]:
         yield
     except ConfigError as error:
         rule = re.sub(r"\b(?:rotor|rotor_angles)\.(\d+)", r"CA_ROTOR\1", error.rule)
-        raise ConfigError(PX4_NAMES.get(error.where, error.where), rule + default_text(parameters)) from None
+        where = PX4_NAMES.get(error.where, error.where)
+        raise ConfigError(where, rule + (default_text(parameters) if where.startswith("CA_ROTOR") else "")) from None
 
 
 def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle:

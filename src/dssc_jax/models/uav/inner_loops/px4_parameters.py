@@ -68,8 +68,14 @@ RANGES = {
     "MC_ROLLRATE_K": (0.01, 5.0),
     "MC_PITCHRATE_K": (0.01, 5.0),
     "MC_YAWRATE_K": (0.0, 5.0),
+    "MPC_XY_P": (0.0, 2.0),
+    "MPC_Z_P": (0.0, 1.5),
+    "MC_RR_INT_LIM": (0.0, 1.0),
+    "MC_PR_INT_LIM": (0.0, 1.0),
+    "MC_YR_INT_LIM": (0.0, 1.0),
+    "IMU_GYRO_RATEMAX": (100.0, 2000.0),
 }
-"""The range that PX4 states for a parameter, in its unit."""
+"""The range that PX4 states for a parameter, in its unit; limits of the integrals are shares of the largest torque."""
 LEAST_RATE = 10.0
 """Least usual limit of a body rate [degrees/s]; assumed. PX4's ranges begin at 0."""
 
