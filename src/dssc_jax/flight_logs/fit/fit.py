@@ -32,7 +32,7 @@ from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinim
 from dssc_jax.flight_logs.fit.first_integrals import free_integrals, starts_elsewhere
 from dssc_jax.flight_logs.fit.fitted_numbers import insensitive_numbers, numbers_to_fit, require_stated_times
 from dssc_jax.flight_logs.fit.freed_commands import freed_commands
-from dssc_jax.flight_logs.fit.late_outputs import certain_output_delay
+from dssc_jax.flight_logs.fit.late_outputs import late_output
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
 from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch, find_minima
@@ -50,6 +50,7 @@ from dssc_jax.flight_logs.fit.refusals import (
     require_unique_minimum,
     unexplained_place,
 )
+from dssc_jax.flight_logs.fit.remaining_residuals import certain_delay
 from dssc_jax.flight_logs.fit.residual_advice import advice_text
 from dssc_jax.flight_logs.fit.residual_causes import doubts_of_estimates, refusal_causes
 from dssc_jax.flight_logs.fit.roughness import roughness, roughness_doubts, widening
@@ -259,7 +260,7 @@ def fitted_minimum(
     require_identifiable(fitted_names, marginal_information(search.best.equations.information, fitted))
     integrals = free_integrals(problem, search.best)
     if integrals is not None and integrals.differ_and_matter:
-        delay = certain_output_delay(problem, search.best, results)
+        delay = certain_delay(problem, late_output(problem, search.best), results)
         if delay is None or integrals.leave_less_than(delay):
             raise starts_elsewhere(study, integrals)
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]

@@ -15,7 +15,7 @@ from dssc_jax.flight_logs.fit.least_squares import FitProblem, NormalEquations
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refusals import Explained
-from dssc_jax.flight_logs.fit.remaining_residuals import leaves_most, remaining_text
+from dssc_jax.flight_logs.fit.remaining_residuals import remaining_text
 from dssc_jax.flight_logs.fit.search_limits import SearchCount
 from dssc_jax.flight_logs.fit.shifts import Delay, fitted_delay, longest_shift
 from dssc_jax.flight_logs.reading.reader import signal_name
@@ -78,20 +78,6 @@ def late_command(problem: FitProblem, minimum: Minimum) -> Delay | None:
     if best == 0:
         return None
     return fitted_delay(shifts, minimum, channels, best, margin)
-
-
-def certain_command_delay(problem: FitProblem, minimum: Minimum, results: Sequence[Explained]) -> Delay | None:
-    """The delay of the commands, if it certainly explains the residual or a large part of it.
-
-    Args:
-        problem: The problem, with the noise of the minimum.
-        minimum: The minimum.
-        results: How well the study describes each channel.
-    """
-    delay = late_command(problem, minimum)
-    if delay is None or not delay.matters(problem.study.loop.sample_time) or not delay.explains:
-        return None
-    return None if leaves_most(problem, delay, results) else delay
 
 
 def command_delay_warning(

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.flight_logs.fit.first_integrals import free_integrals, integral_doubt
-from dssc_jax.flight_logs.fit.late_commands import certain_command_delay, command_delay_warning
+from dssc_jax.flight_logs.fit.late_commands import command_delay_warning, late_command
 from dssc_jax.flight_logs.fit.least_squares import LEAST_SAMPLES, TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum, minimise
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refusals import Explained
-from dssc_jax.flight_logs.fit.remaining_residuals import leaves_most, remaining_text
+from dssc_jax.flight_logs.fit.remaining_residuals import certain_delay, remaining_text
 from dssc_jax.flight_logs.fit.shifts import Delay, fitted_delay, linear_cost, longest_shift
 from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
@@ -154,20 +154,6 @@ def replace_prediction(problem: FitProblem, prediction: tuple[np.ndarray, np.nda
     return problem
 
 
-def certain_output_delay(problem: FitProblem, minimum: Minimum, results: Sequence[Explained]) -> Delay | None:
-    """The delay of the outputs, if it certainly explains the residual or a large part of it.
-
-    Args:
-        problem: The problem, with the noise of the minimum.
-        minimum: The minimum.
-        results: How well the study describes each channel.
-    """
-    lateness = late_output(problem, minimum)
-    if lateness is None or not lateness.matters(problem.study.loop.sample_time) or not lateness.explains:
-        return None
-    return None if leaves_most(problem, lateness, results) else lateness
-
-
 def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
     """The doubt about outputs, or commands, that are later or earlier than the study predicts, with the remedy.
 
@@ -179,10 +165,9 @@ def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explai
         minimum: The minimum.
         results: How well the study describes each channel.
     """
-    study = problem.study
     if problem.count.reason:
         return screened_doubts(problem, minimum)
-    lateness = certain_output_delay(problem, minimum, results)
+    lateness = certain_delay(problem, late_output(problem, minimum), results)
     integrals = free_integrals(problem, minimum)
     if (
         integrals is not None
@@ -192,11 +177,24 @@ def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explai
         return (integral_doubt(problem, integrals),)
     remains = "" if lateness is None else remaining_text(problem, minimum, lateness, results)
     if lateness is None or remains:
-        delay = certain_command_delay(problem, minimum, results)
+        delay = certain_delay(problem, late_command(problem, minimum), results)
         if delay is not None and (lateness is None or delay.shifted < lateness.shifted):
             return (command_delay_warning(problem, minimum, results, delay),)
     if lateness is None:
         return ()
+    return (output_delay_warning(problem, minimum, lateness, remains),)
+
+
+def output_delay_warning(problem: FitProblem, minimum: Minimum, lateness: Delay, remains: str) -> SignalWarning:
+    """The doubt about outputs that are later or earlier than the study predicts, with the remedy.
+
+    Args:
+        problem: The problem.
+        minimum: Its minimum without the delay.
+        lateness: The delay.
+        remains: A sentence about what it leaves; empty if that is noise.
+    """
+    study = problem.study
     names = [signal_name(study.loop.channels[channel], "y") for channel in lateness.channels]
     sizes = []
     for name, channel, unshifted, shifted in zip(
@@ -221,7 +219,7 @@ def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explai
         f"{lateness.move_text(problem.named_values(minimum.x))}. {remedy}{remains}"
     )
     signal = names[0] if len(names) == 1 else ""  # of several channels: the answer as such
-    return (SignalWarning(signal, "delayed-output", text),)
+    return SignalWarning(signal, "delayed-output", text)
 
 
 def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:

@@ -152,7 +152,7 @@ def driving_forces(study: Study, numbers: Mapping[str, float], commands: np.ndar
             return after, drive.command[0] + drive.disturbance[0]
 
         _, forces = jax.lax.scan(sample, initial_state(loop, params, key), jnp.arange(logged.shape[1]))
-        return forces
+        return jnp.asarray(forces)
 
     with arithmetic(study.config.loop.precision):
         return np.asarray(jax.jit(driven)(np.asarray(commands, float)), float)

@@ -27,6 +27,19 @@ def leaves_most(problem: FitProblem, delay: Delay, results: Sequence[Explained])
     )
 
 
+def certain_delay(problem: FitProblem, delay: Delay | None, results: Sequence[Explained]) -> Delay | None:
+    """A delay, if it certainly explains the residual or a large part of it; else None.
+
+    Args:
+        problem: The problem.
+        delay: The delay; None: there is none.
+        results: How well the study describes each channel without it.
+    """
+    if delay is None or not delay.matters(problem.study.loop.sample_time) or not delay.explains:
+        return None
+    return None if leaves_most(problem, delay, results) else delay
+
+
 def remaining_text(problem: FitProblem, minimum: Minimum, delay: Delay, results: Sequence[Explained]) -> str:
     """A sentence about what a delay leaves of the residual of each channel that is shifted; empty if it is noise.
 

@@ -52,9 +52,9 @@ def start_in_place_of(mended: MendedCommand, problem: FitProblem, best: Minimum)
     if mended.leaves_noise:
         return ()
     uncounted = replace(problem, count=SearchCount())
-    alone = fitted_start(uncounted, best)
-    beside = fitted_start(mended.problem, mended.minimum)
-    if alone is None or beside is None or alone.residual > AS_SMALL * beside.residual:
+    start = fitted_start(uncounted, best)
+    start_of_mended = fitted_start(mended.problem, mended.minimum)
+    if start is None or start_of_mended is None or start.residual > AS_SMALL * start_of_mended.residual:
         return ()
     return start_speed_doubts(uncounted, best, mended.residual)
 

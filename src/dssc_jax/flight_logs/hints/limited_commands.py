@@ -40,14 +40,14 @@ def repeated_limits(logged: np.ndarray, replayed: np.ndarray) -> Limits:
         logged: The logged command, NaN where missing, shape (samples,).
         replayed: The command of the analysed controller, shape (samples,).
     """
-    least = LEAST_AT_LIMIT * usual_hold(logged)
+    required = LEAST_AT_LIMIT * usual_hold(logged)
     low, high = float(np.nanmin(logged)), float(np.nanmax(logged))
-    is_low = np.count_nonzero((logged == low) & (replayed < low)) >= least
-    is_high = np.count_nonzero((logged == high) & (replayed > high)) >= least
+    is_low = np.count_nonzero((logged == low) & (replayed < low)) >= required
+    is_high = np.count_nonzero((logged == high) & (replayed > high)) >= required
     return Limits(low if is_low else None, high if is_high else None)
 
 
-def command_within(replay: ChannelReplay, logged: Mapping[str, np.ndarray], limits: Limits) -> np.ndarray | None:
+def limited_command(replay: ChannelReplay, logged: Mapping[str, np.ndarray], limits: Limits) -> np.ndarray | None:
     """The command of the analysed controller with these limits; None if it has no fields for them.
 
     Args:
@@ -81,13 +81,13 @@ def limited_hint(
     limits = repeated_limits(flown, command)
     if limits == Limits(None, None):
         return None
-    most = min(LEFT * rms(flown - np.nanmedian(flown)), FEWER * rms(flown - command))
-    left_behind = rms(flown - np.clip(command, limits.low, limits.high))
-    within = command_within(replay, logged, limits)
-    left_within = np.inf if within is None else rms(flown - within)
-    if not min(left_behind, left_within) <= most:
+    largest_difference = min(LEFT * rms(flown - np.nanmedian(flown)), FEWER * rms(flown - command))
+    clipped_difference = rms(flown - np.clip(command, limits.low, limits.high))
+    limited = limited_command(replay, logged, limits)
+    limited_difference = np.inf if limited is None else rms(flown - limited)
+    if not min(clipped_difference, limited_difference) <= largest_difference:
         return None
-    if left_within < left_behind:
+    if limited_difference < clipped_difference:
         fields = ", ".join(f"{side} = {value:.4g}" for side, value in limits._asdict().items() if value is not None)
         remedy = f"Give it {fields}"
     else:
@@ -99,6 +99,6 @@ def limited_hint(
         )
     text = (
         f"stays {limits.text(unit)}, and within these limits it is what the analysed controller gives, to "
-        f"{min(left_behind, left_within):.2g} {unit} rms; the study's has none. {remedy}"
+        f"{min(clipped_difference, limited_difference):.2g} {unit} rms; the study's has none. {remedy}"
     )
     return Hint("limited-command", text)

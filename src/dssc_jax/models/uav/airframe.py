@@ -54,8 +54,8 @@ MIXER_REMEDY = (
 )
 FILE_REMEDY = "a PX4 airframe or parameter file is needed"
 """What to do about a file without rotors."""
-FEWEST_OF_ALL_FORCES = 6
-"""The fewest tilted rotors that may give any force and moment together."""
+ROTORS_OF_ALL_FORCES = 6
+"""Number of tilted rotors from which on they may give any force and moment together."""
 FEW_TILTED = (
     "the allocation gives thrust and moments exactly, and lets side forces be; PX4's gives them all as nearly as so "
     "few tilted rotors can, and commands differ by a per cent or so"
@@ -265,7 +265,7 @@ def airframe_of(
     geometry = geometry_of(rotors)
     if (
         use_px4_cascade
-        and len(rotors) < FEWEST_OF_ALL_FORCES
+        and len(rotors) < ROTORS_OF_ALL_FORCES
         and any("axis" in entry for entry in geometry.get("rotor", ()))
     ):
         notes.append(FEW_TILTED)

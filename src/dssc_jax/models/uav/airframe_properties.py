@@ -68,9 +68,9 @@ def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) 
     """
     missing = [name for name in INERTIA if name not in parameters]
     if missing:
-        which = "" if missing == list(INERTIA) else " about the other axes"
+        axes = "" if missing == list(INERTIA) else " about the other axes"
         notes.append(
-            f"body_inertia{which} is estimated from mass and arm, within a third: the file does not set "
+            f"body_inertia{axes} is estimated from mass and arm, within a third: the file does not set "
             f"{', '.join(missing)}"
         )
     estimates = [parameters["SIH_MASS"] * (radius * arm) ** 2 for radius in GYRATION]

@@ -182,8 +182,8 @@ def errors_in_px4_names(parameters: Mapping[str, float]) -> Iterator[None]:
         yield
     except ConfigError as error:
         rule = re.sub(r"\b(?:rotor|rotor_angles)\.(\d+)", r"CA_ROTOR\1", error.rule)
-        where = PX4_NAMES.get(error.where, error.where)
-        raise ConfigError(where, rule + (default_text(parameters) if where.startswith("CA_ROTOR") else "")) from None
+        place = PX4_NAMES.get(error.where, error.where)
+        raise ConfigError(place, rule + (default_text(parameters) if place.startswith("CA_ROTOR") else "")) from None
 
 
 def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle:
