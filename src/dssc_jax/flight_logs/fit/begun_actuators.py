@@ -24,7 +24,7 @@ def steady_gain(study: Study) -> float | None:
     """The steady output of the actuator over its constant input, in a study of one channel; None: it is not linear."""
     (model,) = study.loop.unmodelled
     (params,) = study.params(median_values(study)).unmodelled
-    if model.linear is None:
+    if model.linear is None or model.advance is not None:  # the latter has other elements before its linear part
         return None
     system = model.linear(params)
     a = np.array(system.a, float).reshape(len(system.b), len(system.b))
