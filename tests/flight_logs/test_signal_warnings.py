@@ -96,6 +96,20 @@ def test_what_replay_and_fit_tell_is_told_once():
     assert joined_warnings([of_replay], []) == (of_replay,)
 
 
+def test_a_command_without_a_cause_refers_to_those_of_its_output():
+    """Of the same channel only."""
+    command = SignalWarning(
+        "x_u_total", "another-command", "x_u_total is not ... by 1 m/s. The cause is open: other ..."
+    )
+    filtered = SignalWarning("x_y", "filtered-output", "a low pass of x_y")
+    elsewhere = SignalWarning("z_y", "outliers", "z_y has ...")
+    (told,) = [
+        warning for warning in joined_warnings([command], [filtered, elsewhere]) if warning.signal == "x_u_total"
+    ]
+    assert told.text == "x_u_total is not ... by 1 m/s. Another warning names what may cause it (filtered-output)"
+    assert command in joined_warnings([command], [elsewhere])
+
+
 def test_parts_and_delays_of_a_log_with_another_fault_say_so():
     part = SignalWarning("y", "missing-lag", "a lag would explain part of the residual of y")
     effect = SignalWarning("y", "large-residual", "the residual of y is large")

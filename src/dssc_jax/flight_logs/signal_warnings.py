@@ -123,6 +123,25 @@ EFFECTS: tuple[WarningCode, ...] = (
 """Warnings that tell an effect, which the cause in another warning of the same log usually explains; nearest first."""
 
 
+OUTPUTS: tuple[WarningCode, ...] = (
+    "filtered-output",
+    "held-output",
+    "initial-output",
+    "integral-drift",
+    "integral-factor",
+    "interpolated-output",
+    "outliers",
+    "output-jump",
+    "output-likeness",
+    "rounded-output",
+    "shifted-output",
+    "stuck-output",
+)
+"""Warnings about an output that the flight's controller may have got otherwise, and then gave another command."""
+OPEN_CAUSE = "The cause is open"
+"""Words of the hint about a command that no cause explains."""
+
+
 class Hint(NamedTuple):
     """What is wrong with a signal or a number, in words that follow its name."""
 
@@ -198,6 +217,21 @@ def hedged(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
     return tuple(hedged_warnings)
 
 
+def with_named_causes(warning: SignalWarning, fitted: Iterable[SignalWarning]) -> SignalWarning:
+    """A warning of a replay; where it leaves the cause of a command open, with the causes that a fit names.
+
+    Args:
+        warning: The warning.
+        fitted: The warnings of the fit.
+    """
+    channel = warning.signal.removesuffix("u_total")
+    codes = {cause.code: None for cause in fitted if cause.code in OUTPUTS and cause.signal == f"{channel}y"}
+    if OPEN_CAUSE not in warning.text or not codes:
+        return warning
+    effect, _, _ = warning.text.partition(OPEN_CAUSE)
+    return replace(warning, text=f"{effect}Another warning names what may cause it ({', '.join(codes)})")
+
+
 def joined_warnings(of_replay: Iterable[SignalWarning], of_fit: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
     """The warnings of a replay and a fit, causes first; what both tell of a signal is told as the fit has it.
 
@@ -206,7 +240,10 @@ def joined_warnings(of_replay: Iterable[SignalWarning], of_fit: Iterable[SignalW
     """
     fitted = tuple(of_fit)
     told = {(warning.signal, warning.code) for warning in fitted}
-    remaining = [warning for warning in of_replay if (warning.signal, warning.code) not in told]
+    remaining = []
+    for warning in of_replay:
+        if (warning.signal, warning.code) not in told:
+            remaining.append(with_named_causes(warning, fitted))
     all_warnings = causes_first(hedged((*remaining, *fitted)))
     mended = [warning for warning in fitted if warning.code in ("actuator-start", "command-offset")]
     others = [warning for warning in all_warnings if warning not in mended]

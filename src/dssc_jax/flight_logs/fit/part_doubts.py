@@ -36,6 +36,7 @@ LARGE_PART = 0.5  # share of a refused residual that may be left if a part expla
 SMALL_PART = 0.05  # share of a residual that is left if a part explains nearly all of it, whatever the noise
 EXPLAINED = 0.7  # share of a doubtful residual that is left if a part explains it, whatever it moves
 RESEMBLED = "another part may resemble this one"
+PROBABLY_ANOTHER = "the cause is probably another part, which this one resembles"
 
 
 class PartDoubts(NamedTuple):
@@ -291,8 +292,8 @@ def doubt_of(
         )
     elif leaves_more:
         text = (
-            f"{explains}{others}. {remains}: the cause is probably another part, which this one resembles. Estimates "
-            "are wrong by more than their intervals"
+            f"{explains}{others}. {remains}: {best.part.leaves or PROBABLY_ANOTHER}. Estimates are wrong by more than "
+            "their intervals"
         )
     elif largest_move(problem, minimum, best, deviations) > LARGE_MOVE:
         text = f"{explains}: {moved}{others}. Estimates are wrong by more than their intervals. {remedy_of(causes)}"

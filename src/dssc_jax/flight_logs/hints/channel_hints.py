@@ -25,11 +25,8 @@ from dssc_jax.flight_logs.hints.replayed_columns import column_hints
 from dssc_jax.flight_logs.hints.rounded_outputs import rounded_output_hint
 from dssc_jax.flight_logs.hints.slower_controllers import slower_controller
 from dssc_jax.flight_logs.reading.reader import FlightLog, signal_name
-from dssc_jax.flight_logs.signal_warnings import Hint
+from dssc_jax.flight_logs.signal_warnings import OPEN_CAUSE, Hint
 from dssc_jax.study import Study
-
-OPEN_CAUSE = "The cause is open"
-"""Words of the hint about a command that no cause explains."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from dssc_jax.flight_logs.hints.rounded_commands import command_rounding, rounde
 from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
 from dssc_jax.flight_logs.reading.interpolated_outputs import bends
 from dssc_jax.flight_logs.reading.reader import Column, forward_filled
-from dssc_jax.flight_logs.signal_warnings import Hint
+from dssc_jax.flight_logs.signal_warnings import OPEN_CAUSE, Hint
 
 SAME_COMMAND = 0.1  # share of a command's root mean square: closer, a converted command is that of the replay
 LARGE_FACTOR = 5.0  # of a command or its inverse: no other gains of one controller give it throughout a flight
@@ -191,7 +191,7 @@ def command_hint(
         reference = "the reference" if has_reference else "the reference (the log has no y_ref: the study's was used)"
         text = (
             f"is not what the analysed controller gives for the logged measurements: they differ by {difference:.4g} "
-            f"{unit} rms, and the logged one varies by {deviation:.4g}. The cause is open: other gains, limits or "
+            f"{unit} rms, and the logged one varies by {deviation:.4g}. {OPEN_CAUSE}: other gains, limits or "
             f"another rate of the controller flew, or a measurement or {reference} is not what the controller got. "
             "Compare these, and units, offsets, times and gaps of y, y' and y_ref"
         )
