@@ -56,6 +56,19 @@ def test_the_error_of_an_angle_is_wrapped_in_c(steering, psi, desired):
     assert answer.command[2] == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("psi", "desired", "flag"), [(0.9e5, 0.9e5, 0), (1.1e5, 0.0, 1), (0.0, -1e30, 1), (0.0, 0.0, 0)]
+)
+def test_an_angle_whose_turns_have_no_resolution_is_refused(steering, psi, desired, flag):
+    """A reading of 1e30 made all later ones continuous with it."""
+    _, compiled = steering
+    compiled.reset()
+    assert compiled.step((0.1, 0.0), (0.0, 0.0, 0.0)).flag == 0
+    answer = compiled.step((psi, 0.0), (desired, 0.0, 0.0))
+    assert answer.flag == flag
+    assert abs(compiled.step((0.1, 0.0), (0.0, 0.0, 0.0)).command[2]) > 0.01
+
+
 def test_c_and_replay_agree_for_any_turns_of_the_same_flight(steering):
     """A heading that turns through pi, given continuous, wrapped, and with turns added at random."""
     study, compiled = steering

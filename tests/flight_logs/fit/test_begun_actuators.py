@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from dssc_jax.flight_logs.fit.begun_actuators import begun, steady_gain
+from dssc_jax.flight_logs.fit.begun_actuators import prediction_from_equilibrium, steady_gain
 from dssc_jax.flight_logs.fit.fit import fit_log
 from dssc_jax.flight_logs.fit.prediction import prediction
 from dssc_jax.flight_logs.fit.refusals import Unexplained
@@ -42,9 +42,22 @@ def test_the_prediction_is_that_of_an_actuator_in_equilibrium():
     names = ("plant.k_p", "plant.a_p", "unmodelled.mu")
     commands = held_commands(1)
     assert steady_gain(study) == pytest.approx(1.0, rel=1e-12)
-    predict = begun(prediction(study, names, len(commands)), 2.0, 1.0)
+    predict = prediction_from_equilibrium(prediction(study, names, len(commands)), 2.0, 1.0)
     found, _ = predict(np.array([1.1, 0.8, MU]), commands[None, :])
     np.testing.assert_allclose(found[0], exact_output(commands, 2.0), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("table", "gain"),
+    [
+        ({"kind": "none"}, None),
+        ({"kind": "saturation", "limit": 1.0}, None),
+        ({"kind": "transfer_function", "mu": 0.1, "numerator": [1.0, 0.5], "denominator": [1.0, 3.0, 1.0]}, 1.0),
+    ],
+)
+def test_the_steady_gain_is_that_of_a_linear_actuator_with_a_memory(table, gain):
+    found = steady_gain(study_of(SLOW, unmodelled=table))
+    assert found == (None if gain is None else pytest.approx(gain, rel=1e-12))
 
 
 @pytest.mark.parametrize("first", [0.0, 2.0])

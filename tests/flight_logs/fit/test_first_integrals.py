@@ -75,8 +75,16 @@ def test_the_smaller_residual_tells_which(shifted, less):
         deviations=np.ones(1),
         p_value=0.0,
         moves={"m": 9.0},
-        residuals={0: 0.01, 2: 0.01},
-        falls={0: 0.1, 2: 0.1},
+        residuals={0: 0.01, 1: 0.02, 2: 0.01},
+        falls={0: 0.1, 1: 1.0, 2: 0.1},
     )
     delay = Delay((0, 2), 0.1, 0.01, 0.0, {"m": 2.0}, {"m": 1.0}, (0.1, 0.1), shifted)
     assert integrals.leave_less_than(delay) == less
+    assert integrals.explain_much
+
+
+def test_integrals_that_explain_another_channel_are_not_less_than_a_delay():
+    """The delay of one channel leaves nothing there; the integrals explain a little of it, and nothing elsewhere."""
+    integrals = FreeIntegrals(("i",), np.ones(1), np.ones(1), 0.0, {"m": 9.0}, {0: 0.09, 1: 0.1}, {0: 0.9, 1: 1.0})
+    assert not integrals.explain_much
+    assert not integrals.leave_less_than(Delay((0,), 0.1, 0.01, 0.0, {}, {}, (0.1,), (0.01,)))

@@ -42,7 +42,13 @@ def test_a_flight_that_sticks_is_refused_with_its_friction():
 
 @pytest.mark.parametrize(
     ("part", "residual", "is_withdrawn"),
-    [(STICKING, 0.1, False), (STICKING, 0.3, True), (FRICTION, 0.1, False), (FRICTION._replace(leaves=""), 0.1, True)],
+    [
+        (STICKING, 0.1, False),
+        (STICKING, 0.3, True),
+        (FRICTION, 0.1, False),
+        (FRICTION, 0.3, True),
+        (FRICTION._replace(leaves=""), 0.1, True),
+    ],
 )
 def test_friction_with_sticking_keeps_its_estimate(part, residual, is_withdrawn):
     """It leaves more than noise, but far less than without it; a part that should leave noise is probably another."""

@@ -33,19 +33,27 @@ def limited_command(low, high):
 
 @pytest.mark.parametrize(
     ("low", "high", "words"),
-    [(-0.7, 0.5, "between -0.7 and 0.5 m/s"), (-np.inf, 0.6, "below 0.6 m/s"), (-0.6, np.inf, "above -0.6 m/s")],
+    [(-0.7, 0.5, "from -0.7 to 0.5 m/s"), (-np.inf, 0.6, "at most 0.6 m/s"), (-0.6, np.inf, "at least -0.6 m/s")],
 )
 def test_a_command_that_is_clipped_behind_the_controller(low, high, words):
     hint = hint_of(np.clip(fly().columns["u_total"].value, low, high))
     assert hint.code == "limited-command"
-    assert hint.text.startswith(f"stays {words}")
+    assert hint.text.startswith(f"is {words}")
     assert "Its integral goes on at a limit" in hint.text
 
 
 def test_a_controller_with_limits_that_hold_its_integral_back():
     hint = hint_of(limited_command(-0.4, 0.3))
     assert hint.code == "limited-command"
-    assert hint.text.endswith("Give it low = -0.4, high = 0.3")
+    assert hint.text.endswith("Give the controller low = -0.4, high = 0.3")
+
+
+def test_a_study_with_a_saturation_is_not_told_to_have_none():
+    log = fly()
+    clipped = np.clip(log.columns["u_total"].value, -0.7, 0.5)
+    study = study_of(unmodelled={"kind": "saturation", "limit": 0.5, "low": -0.7})
+    hint = replay_log(study, log._replace(columns=log.columns | {"u_total": Column(TIME, clipped)})).hints.all()
+    assert hint["u_total"].code != "limited-command"
 
 
 def test_a_command_that_holds_its_largest_value_for_another_reason_is_not_limited():

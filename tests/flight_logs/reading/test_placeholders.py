@@ -73,6 +73,10 @@ def test_an_output_that_drops_to_zero_for_a_few_readings():
     assert placeholder(values, True) == (0.0, 12)
     values[430:434] = 0.1
     assert placeholder(values, True) is None
+    pulses = 2.0 + np.sin(0.02 * ROWS)
+    for begin in (100, 250, 430):
+        pulses[begin : begin + 8] = 0.5
+    assert placeholder(pulses, True) is None
     values[430:450] = 0.0
     assert placeholder(values, True) is None
 

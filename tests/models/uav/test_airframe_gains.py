@@ -1,12 +1,23 @@
 """Gains and limits of a PX4 file for its cascade: those that cannot be are refused, and slips of units are told."""
 
+import math
+
 import pytest
 
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.models.uav.airframe import read_airframe
 from dssc_jax.models.uav.inner_loops.px4 import Px4Gains
-from dssc_jax.models.uav.inner_loops.px4_parameters import RANGES, unusual_gains
+from dssc_jax.models.uav.inner_loops.px4_parameters import (
+    DEGREES,
+    FACTORS,
+    PARAMETERS,
+    RANGES,
+    TILT,
+    TRIPLES,
+    require_admissible,
+    unusual_gains,
+)
 from tests.models.uav.test_airframe import QUAD
 
 
@@ -21,7 +32,8 @@ def read_with(*settings, cascade=True):
     [
         ("MPC_TILTMAX_AIR 0.6", "MPC_TILTMAX_AIR is 0.6 degrees; PX4's range is 20 to 89: check the units"),
         ("MC_ROLLRATE_P 15", "MC_ROLLRATE_P is 15; PX4's range is 0.01 to 0.5: check the units"),
-        ("MC_ROLLRATE_MAX 3.5", "MC_ROLLRATE_MAX is 3.5 degrees/s; usual are some hundred: check the units"),
+        ("MC_ROLLRATE_MAX 3.5", "MC_ROLLRATE_MAX is 3.5 degrees/s; usual is 10 to 1800: check the units"),
+        ("MC_PR_INT_LIM 30", "MC_PR_INT_LIM is 30; usual is 0 to 1: check the units"),
     ],
 )
 def test_a_gain_outside_of_px4s_range_is_told(setting, words):
@@ -30,16 +42,27 @@ def test_a_gain_outside_of_px4s_range_is_told(setting, words):
 
 
 def test_px4s_defaults_are_within_its_ranges():
-    assert unusual_gains({}) == []
-    assert not read_with().warnings
     defaults = Px4Gains()
-    assert RANGES["MPC_XY_VEL_P_ACC"][0] <= defaults.velocity_p_xy <= RANGES["MPC_XY_VEL_P_ACC"][1]
+    values = {name: getattr(defaults, field) for field, name in PARAMETERS.items()}
+    for field, names in TRIPLES.items():
+        values |= dict(zip(names, getattr(defaults, field), strict=True))
+    for field, names in DEGREES.items():
+        values |= dict(zip(names, map(math.degrees, getattr(defaults, field)), strict=True))
+    values[TILT] = math.degrees(defaults.tilt_max)
+    values = {name: value for name, value in values.items() if value is not None}
+    assert set(RANGES) - set(values) == {*FACTORS, "MPC_XY_P", "MPC_Z_P", "IMU_GYRO_RATEMAX", "MPC_THR_HOVER"}
+    assert unusual_gains(values) == []
+    require_admissible(values)
 
 
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ("MPC_TILTMAX_AIR 95", "MPC_TILTMAX_AIR: must be < 1.55 rad, and PX4 has degrees, got 95"),
+        ("MPC_TILTMAX_AIR 95", "MPC_TILTMAX_AIR: must be < 88.8085 degrees, got 95"),
+        ("MC_ROLLRATE_MAX 0", "MC_ROLLRATE_MAX: must be > 0 degrees/s, got 0"),
+        ("MC_ROLLRATE_K -1", "MC_ROLLRATE_K: must be >= 0, got -1"),
+        ("IMU_GYRO_CUTOFF 300", "IMU_GYRO_CUTOFF: must be below half the rate of the loops, 200 Hz, got 300"),
+        ("MPC_THR_MAX 0.1", "MPC_THR_MIN: must be < MPC_THR_MAX = 0.1, got 0.12"),
         ("MPC_THR_MIN 12", "MPC_THR_MIN: must be < 1, got 12"),
         ("MC_ROLLRATE_P -0.1", "MC_ROLLRATE_P: must be >= 0, got -0.1"),
     ],
@@ -73,6 +96,12 @@ def test_a_hover_command_against_mass_and_thrust_is_told():
         "MPC_THR_HOVER is 0.3, and hover takes 0.981 of SIH_T_MAX = 5 N with 2 kg" in text for text in contradicted
     )
     assert not read_with("SIH_T_MAX 10", "MPC_THR_HOVER 0.5").warnings
+
+
+@pytest.mark.parametrize("setting", ["SIH_T_MAX 0", "SIH_IXX 0", "SIH_IZZ -0.01"])
+def test_a_thrust_or_an_inertia_that_is_not_positive_is_refused_by_its_name(setting):
+    with pytest.raises(ConfigError, match=f"{setting.split()[0]}: must be > 0, got"):
+        read_with(setting, "SIH_Q_MAX 0.1")
 
 
 @pytest.mark.parametrize("kind", [1, 2, 3])

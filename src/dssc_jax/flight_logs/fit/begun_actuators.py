@@ -34,7 +34,7 @@ def steady_gain(study: Study) -> float | None:
     return float(system.d) - float(through_state)
 
 
-def begun(predict: Prediction, first: float, gain: float) -> Prediction:
+def prediction_from_equilibrium(predict: Prediction, first: float, gain: float) -> Prediction:
     """The prediction with an actuator that begins in its equilibrium under a command.
 
     Args:
@@ -54,7 +54,7 @@ def begun(predict: Prediction, first: float, gain: float) -> Prediction:
 
 
 def begun_actuator(problem: FitProblem, minimum: Minimum, results: list[Explained]) -> MendedCommand | None:
-    """The fit with an actuator that has followed the first command; None if that explains no large part.
+    """The fit with an actuator that has followed the first command; None unless that leaves noise alone.
 
     Args:
         problem: The problem, with the noise of the minimum.
@@ -62,30 +62,37 @@ def begun_actuator(problem: FitProblem, minimum: Minimum, results: list[Explaine
         results: How well the study describes each channel.
     """
     is_doubtful = any(result.is_doubtful for result in results)
-    if problem.count.is_stopped or not is_doubtful or len(problem.log.commands) > 1 or len(problem.readings) != 1:
+    log = problem.log
+    if problem.count.is_stopped or not is_doubtful or len(log.commands) > 1 or len(problem.readings) != 1:
         return None
-    first = float(problem.log.commands[0, 0])
+    if log.replayed:  # of a log without a command
+        return None
+    first = float(log.commands[0, 0])
     gain = steady_gain(problem.study)
     if gain is None or first == 0.0:
         return None
-    mended = refit(replace(problem, predict=begun(problem.predict, first, gain)), minimum, problem.log)
+    mended = refit(replace(problem, predict=prediction_from_equilibrium(problem.predict, first, gain)), minimum, log)
     residual = mended.residual(0)
-    logged_residual = refit(problem, minimum, problem.log).residual(0)
+    logged_residual = refit(problem, minimum, log).residual(0)
     if not residual < LARGE_PART * min(results[0].residual, logged_residual):
         return None
     end = reweighted_minimum(mended.problem, mended.minimum)
+    explained = explain(mended.problem, end.x)
+    if any(result.is_doubtful for result in explained):
+        return None
     name = signal_name(problem.study.loop.channels[0], "u_total")
     y, unit = signal_and_unit(problem, 0)
     command = problem.study.units[0].of("u")
     text = (
         f"{name} begins at {first:.4g} {command}, and the actuator seems to have followed it before, where the study's "
-        f"begins at rest: with that the residual of {y} falls from {logged_residual:.3g} to {residual:.3g} {unit} rms"
-        f"{moved_text(problem, minimum, Refit(mended.problem, end))}. Begin the log where the command is 0. "
-        f"Or give its column an offset of {-first:.4g}: a constant disturbance is then estimated {first:.4g} {command} "
-        "too large"
+        f"begins at rest: with an actuator in equilibrium under that command the residual of {y} falls from "
+        f"{logged_residual:.3g} to {residual:.3g} {unit} rms"
+        f"{moved_text(problem, minimum, Refit(mended.problem, end))}. Begin the log where the command "
+        f"has been 0 for a while. Or give its column an offset of {-first:.4g} and the study a constant disturbance "
+        f"with a law: {gain * first:.4g} {command} of its estimate is then the actuator's"
     )
     warning = SignalWarning(name, "actuator-start", text)
-    return MendedCommand(warning, mended.problem, end, explain(mended.problem, end.x))
+    return MendedCommand(warning, mended.problem, end, explained)
 
 
 def moved_text(problem: FitProblem, minimum: Minimum, mended: Refit) -> str:

@@ -53,7 +53,7 @@ class MendedCommand(NamedTuple):
 def logged_offset(problem: FitProblem) -> float | None:
     """The constant by which the command of a study of one channel lies beside its controller's; None: there is none."""
     log = problem.log
-    if len(problem.readings) != 1 or len(log.commands) != 1 or 0 in log.replayed:
+    if len(problem.readings) != 1 or len(log.commands) != 1 or log.replayed:
         return None
     (reference,) = study_references(problem.study, log.commands.shape[1])
     try:

@@ -24,6 +24,7 @@ from dssc_jax.study import Study
 
 SIGNIFICANCE = 1e-4  # p-value below which integrals differ from those of the study
 LARGE_MOVE = 1.0  # least move of an estimate by free integrals that matters, in its standard deviations
+LARGE_PART = 0.5  # share of a channel's residual that may be left if integrals explain it
 ROUNDING = 1e-9  # share of the information along each coordinate that is added, against rounding
 
 
@@ -63,10 +64,19 @@ class FreeIntegrals(NamedTuple):
         rows = zip(self.names, self.values, self.deviations, strict=True)
         return ", ".join(f"{name} = {value:.3g} ± {deviation:.2g}" for name, value, deviation in rows)
 
+    @property
+    def explain_much(self) -> bool:
+        """Whether the integrals leave a small part of the residual of any channel."""
+        return min(self.falls.values()) < LARGE_PART
+
     def leave_less_than(self, delay: Delay) -> bool:
-        """Whether the integrals explain the residual better than a delay, by the likelihoods with white noise."""
-        logarithms = [math.log(max(self.residuals[channel], TINY)) for channel in delay.channels]
-        return sum(logarithms) < sum(math.log(max(residual, TINY)) for residual in delay.shifted)
+        """Whether the integrals explain the residuals of all channels better than a delay, if these are white noise."""
+        shifted = dict(zip(delay.channels, delay.shifted, strict=True))
+        difference = 0.0  # of the logarithms of the likelihoods, up to a factor
+        for channel, residual in self.residuals.items():
+            unshifted = residual / max(self.falls[channel], TINY)
+            difference += math.log(max(residual, TINY)) - math.log(max(shifted.get(channel, unshifted), TINY))
+        return difference < 0.0
 
 
 class Step(NamedTuple):
@@ -161,7 +171,8 @@ def integral_doubt(problem: FitProblem, integrals: FreeIntegrals) -> SignalWarni
     signal = signal_name(problem.study.loop.channels[channel], "y")
     text = (
         f"the flight seems to begin with other integrals than the study: its outputs show {integrals.values_text} "
-        f"(p = {integrals.p_value:.1g}), which would explain most of the residual of {signal}. "
+        f"(p = {integrals.p_value:.1g}), with which {100.0 * integrals.falls[channel]:.2g} % of the residual of "
+        f"{signal} would be left. "
         f"{start_remedy(problem.study, integrals.names[-1])}"
     )
     return SignalWarning(signal, "first-integrals", text)

@@ -151,7 +151,7 @@ def fit_log(
                     raise
                 unidentified.add(refusal.number, refusal)
         if unidentified.kept.issuperset(candidates):
-            raise none_identified(problem, search.best, unidentified)
+            raise none_identified(problem, search.best, unidentified, known)
         problem = problem.keeping(unidentified.kept)
         starting_minima = [at_medians(minimum, problem.is_kept) for minimum in starting_minima]
 
@@ -189,13 +189,16 @@ def marginal_information(information: np.ndarray, positions: np.ndarray) -> np.n
     return information[np.ix_(positions, positions)] - shared
 
 
-def none_identified(problem: FitProblem, best: Minimum, unidentified: UnidentifiedNumbers) -> NotIdentifiable:
+def none_identified(
+    problem: FitProblem, best: Minimum, unidentified: UnidentifiedNumbers, known: tuple[SignalWarning, ...]
+) -> NotIdentifiable:
     """The refusal of a flight that identifies none of the numbers.
 
     Args:
         problem: The last problem, with the noise of its minimum.
         best: That minimum.
         unidentified: The numbers with their widths.
+        known: What its replay tells of the log that may leave a residual.
 
     Raises:
         Unexplained: The residual is more than noise.
@@ -203,7 +206,7 @@ def none_identified(problem: FitProblem, best: Minimum, unidentified: Unidentifi
     results = explain(problem, best.x)
     require_explained(problem, best, results)
     causes = column_causes(problem, best)
-    causes = (*causes, *doubts(problem, best.x, results, causes))
+    causes = (*causes, *doubts(problem, best.x, results, (*causes, *known)))
     doubt_texts = "".join(f". {doubt.text}" for doubt in causes)
     return NotIdentifiable(
         f"the flight identifies none of {', '.join(unidentified.widths)}: their laws are narrower than what it leaves "
@@ -246,7 +249,7 @@ def fitted_minimum(
         search: Its minima.
         unidentified_widths: Numbers that keep their laws, with the width that the flight leaves over that of the law.
         moves: How far other commands that may have flown move the coordinates, shape (k, p).
-        known: Faults of the log that its replay tells.
+        known: What its replay tells of the log that may leave a residual.
     """
     study = problem.study
     x = search.best.x
@@ -260,7 +263,8 @@ def fitted_minimum(
     require_identifiable(fitted_names, marginal_information(search.best.equations.information, fitted))
     integrals = free_integrals(problem, search.best)
     if integrals is not None and integrals.differ_and_matter:
-        delay = certain_delay(problem, late_output(problem, search.best), results)
+        lateness = None if problem.count.reason else late_output(problem, search.best)
+        delay = certain_delay(problem, lateness, results)
         if delay is None or integrals.leave_less_than(delay):
             raise starts_elsewhere(study, integrals)
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]

@@ -172,13 +172,14 @@ def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explai
     if (
         integrals is not None
         and integrals.differ_and_matter
+        and integrals.explain_much
         and (lateness is None or integrals.leave_less_than(lateness))
     ):
         return (integral_doubt(problem, integrals),)
     remains = "" if lateness is None else remaining_text(problem, minimum, lateness, results)
     if lateness is None or remains:
         delay = certain_delay(problem, late_command(problem, minimum), results)
-        if delay is not None and (lateness is None or delay.shifted < lateness.shifted):
+        if delay is not None and (lateness is None or delay.shifted[0] < lateness.shifted[0]):
             return (command_delay_warning(problem, minimum, results, delay),)
     if lateness is None:
         return ()

@@ -61,7 +61,7 @@ class Part(NamedTuple):
         has_speed: Whether its forces depend on the speed of the flight.
         outputs: (Series, samples) -> what the log has of a predicted output for a size in samples, shape (..., n);
             None: the output itself.
-        leaves: Why a part that is the cause may leave more than noise; empty: it does not.
+        leaves: Why a part that is the cause may leave more than noise; empty: no reason is known.
     """
 
     code: WarningCode

@@ -4,6 +4,7 @@ A cause that explains the residual leaves nothing to the next one: a constant in
 part that the study lacks, another start.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -41,22 +42,28 @@ def explaining_command(problem: FitProblem, best: Minimum, results: list[Explain
     return mended
 
 
-def start_in_place_of(mended: MendedCommand, problem: FitProblem, best: Minimum) -> tuple[SignalWarning, ...]:
+def start_in_place_of(
+    mended: MendedCommand, problem: FitProblem, best: Minimum
+) -> tuple[tuple[SignalWarning, ...], float]:
     """The doubt about the speed at the start where this explains a flight as well without what is wrong with a command.
 
     Args:
         mended: The fit with what explains the residual by the command.
         problem: The least-squares problem of the log.
         best: Its minimum.
+
+    Returns:
+        The doubt; none if the start explains less. Then the root mean square of the residual with that start.
     """
     if mended.leaves_noise:
-        return ()
+        return (), math.inf
     uncounted = replace(problem, count=SearchCount())
+    uncounted.noises, uncounted.variances = list(problem.noises), list(problem.variances)
     start = fitted_start(uncounted, best)
     start_of_mended = fitted_start(mended.problem, mended.minimum)
     if start is None or start_of_mended is None or start.residual > AS_SMALL * start_of_mended.residual:
-        return ()
-    return start_speed_doubts(uncounted, best, mended.residual)
+        return (), math.inf
+    return start_speed_doubts(uncounted, best, mended.residual), start.residual
 
 
 def refusal_causes(
@@ -71,10 +78,10 @@ def refusal_causes(
     """
     mended = explaining_command(problem, best, results)
     if mended is not None:
-        doubts_of_start = start_in_place_of(mended, problem, best)
+        doubts_of_start, residual_with_start = start_in_place_of(mended, problem, best)
         if doubts_of_start:
-            return hedged(doubts_of_start), True
-        return causes_beside_offset(mended), mended.leaves_noise
+            return hedged(doubts_of_start), residual_with_start <= results[0].limit
+        return causes_beside_mend(mended), mended.leaves_noise
     doubts_of_outliers = outlier_doubts(problem, best.x)
     doubts_of_dropouts = dropout_doubts(problem, best)
     doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, best, results)
@@ -100,13 +107,10 @@ def refusal_causes(
     return hedged(causes), parts.residual <= results[0].limit
 
 
-def causes_beside_offset(mended: MendedCommand) -> tuple[SignalWarning, ...]:
-    """A constant in the command, and the likely causes of what the log without it leaves, if that is not noise."""
+def causes_beside_mend(mended: MendedCommand) -> tuple[SignalWarning, ...]:
+    """What is wrong with the command, and the likely causes of what remains without that, if this is no noise."""
     others = () if mended.leaves_noise else refusal_causes(mended.problem, mended.minimum, mended.results)[0]
-    return (
-        mended.warning,
-        *(warning for warning in others if warning.code not in ("command-offset", "actuator-start")),
-    )
+    return (mended.warning, *(warning for warning in others if warning.code != mended.warning.code))
 
 
 def doubts_of_estimates(
@@ -123,12 +127,13 @@ def doubts_of_estimates(
         best: Its minimum.
         results: How well each channel is described.
         deviations: Standard deviations of the fitted coordinates, shape (f,).
-        known: Faults of the log that are told beside the fit.
+        known: What is told beside the fit, and may leave a residual.
     """
     doubts_of_noise = noise_doubts(problem, best.x, results)
     mended = explaining_command(problem, best, results)
     if mended is not None:
-        causes = start_in_place_of(mended, problem, best) or causes_beside_offset(mended)
+        doubts_of_start, _ = start_in_place_of(mended, problem, best)
+        causes = doubts_of_start or causes_beside_mend(mended)
         return (*causes, *doubts(problem, best.x, results, (*causes, *known)), *doubts_of_noise)
     parts = NO_DOUBTS
     doubts_of_delays = dropout_doubts(problem, best)

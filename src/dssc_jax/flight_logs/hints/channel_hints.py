@@ -163,7 +163,7 @@ def add_command_hints(
             del hints.factors[y]
         command = rate.command
     hint = rate_hint(log.columns[name], replay.sample_time)
-    limited = limited_hint(replay, signals, command, channel.units.of("u"))
+    limited = None if hint is not None else limited_hint(replay, signals, command, channel.units.of("u"))
     if limited is not None:
         hints.factors[name] = limited
         return

@@ -14,6 +14,9 @@ from dssc_jax.flight_logs.channel_replay import ChannelReplay
 from dssc_jax.flight_logs.hints.conversions import rms
 from dssc_jax.flight_logs.reading.held_outputs import usual_hold
 from dssc_jax.flight_logs.signal_warnings import Hint
+from dssc_jax.models.actuators.saturation import SATURATION
+from dssc_jax.study import Study
+from dssc_jax.study.actuators import acting_elements
 
 LEAST_AT_LIMIT = 5  # commands with an extreme value that is a limit
 LEFT = 0.03  # share of what the command varies that may be left
@@ -29,8 +32,8 @@ class Limits(NamedTuple):
     def text(self, unit: str) -> str:
         """The limits in words."""
         if self.low is None or self.high is None:
-            return f"below {self.high:.4g} {unit}" if self.low is None else f"above {self.low:.4g} {unit}"
-        return f"between {self.low:.4g} and {self.high:.4g} {unit}"
+            return f"at most {self.high:.4g} {unit}" if self.low is None else f"at least {self.low:.4g} {unit}"
+        return f"from {self.low:.4g} to {self.high:.4g} {unit}"
 
 
 def repeated_limits(logged: np.ndarray, replayed: np.ndarray) -> Limits:
@@ -66,6 +69,11 @@ def limited_command(replay: ChannelReplay, logged: Mapping[str, np.ndarray], lim
     return None if isinstance(command, str) else command
 
 
+def has_saturation(study: Study) -> bool:
+    """Whether the study limits the command itself, behind its controllers."""
+    return any(element.model is SATURATION for element, _ in acting_elements(study.table, study.config))
+
+
 def limited_hint(
     replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray, unit: str
 ) -> Hint | None:
@@ -79,7 +87,7 @@ def limited_hint(
     """
     flown = logged["u_total"]
     limits = repeated_limits(flown, command)
-    if limits == Limits(None, None):
+    if limits == Limits(None, None) or has_saturation(replay.study):
         return None
     largest_difference = min(LEFT * rms(flown - np.nanmedian(flown)), FEWER * rms(flown - command))
     clipped_difference = rms(flown - np.clip(command, limits.low, limits.high))
@@ -89,7 +97,7 @@ def limited_hint(
         return None
     if limited_difference < clipped_difference:
         fields = ", ".join(f"{side} = {value:.4g}" for side, value in limits._asdict().items() if value is not None)
-        remedy = f"Give it {fields}"
+        remedy = f"Give the controller {fields}"
     else:
         remedy = (
             "Its integral goes on at a limit, as behind an actuator with one: if the vehicle got this command, a fit "
@@ -98,7 +106,7 @@ def limited_hint(
             "If only the log has the limit, leave its column out, and a fit takes the analysed controller's"
         )
     text = (
-        f"stays {limits.text(unit)}, and within these limits it is what the analysed controller gives, to "
-        f"{min(clipped_difference, limited_difference):.2g} {unit} rms; the study's has none. {remedy}"
+        f"is {limits.text(unit)}, and within these limits it is what the analysed controller gives, to "
+        f"{min(clipped_difference, limited_difference):.2g} {unit} rms; the study's has no such limits. {remedy}"
     )
     return Hint("limited-command", text)

@@ -9,7 +9,7 @@ LEAST_REPEATED = 3  # readings of one value that may stand for missing ones
 LEAST_OTHERS = 10  # different values of the others: a signal of few levels has none that is far from all others
 FAR = 10.0  # factor on the range of the others: a farther value is no reading
 OUTSTANDING = 10.0  # factor on the usual change between readings: a farther value than both neighbours is no reading
-LONGEST = 10  # readings of a dropout
+LONGEST_DROPOUT = 10  # readings of a dropout to 0 or to a customary number; to another value it has one
 MOSTLY = 0.8  # share of a placeholder's readings that are so far from their neighbours
 NINES = tuple(sign * (10.0**digits - 1.0) for digits in range(2, 10) for sign in (-1.0, 1.0))
 BINARY = tuple(value for bits in (15, 16, 31, 32) for value in (2.0**bits - 1.0, -(2.0**bits)))
@@ -48,7 +48,7 @@ def placeholder(values: np.ndarray, is_output: bool) -> tuple[float, int] | None
 
 
 def dropout_value(values: np.ndarray) -> float | None:
-    """The value to which an output drops again and again from elsewhere, and at once comes back; None: there is none.
+    """The value to which an output drops again and again, and soon comes back; None: there is none.
 
     Args:
         values: The output's readings, all finite, shape (rows,).
@@ -61,8 +61,10 @@ def dropout_value(values: np.ndarray) -> float | None:
     begins = np.append(0, np.flatnonzero(changes) + 1)  # of runs of one value
     lengths = np.diff(np.append(begins, len(values)))
     is_jump = changes[begins[1:] - 1] > OUTSTANDING * usual_change
-    is_dropout = is_jump[:-1] & is_jump[1:] & (lengths[1:-1] <= LONGEST)
-    drops = values[begins[1:-1]][is_dropout]
+    run_values = values[begins[1:-1]]
+    longest = np.where(np.isin(run_values, (0.0, *CUSTOMARY)), LONGEST_DROPOUT, 1)
+    is_dropout = is_jump[:-1] & is_jump[1:] & (lengths[1:-1] <= longest)
+    drops = run_values[is_dropout]
     candidates, counts = np.unique(drops, return_counts=True)
     if not candidates.size:
         return None

@@ -35,6 +35,7 @@ from dssc_jax.models.uav.airframe_rotors import (
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loops.px4_parameters import (
     GAIN_PARAMETERS,
+    LOOP_RATE,
     gains_from,
     require_admissible,
     unusual_gains,
@@ -55,10 +56,10 @@ MIXER_REMEDY = (
 FILE_REMEDY = "a PX4 airframe or parameter file is needed"
 """What to do about a file without rotors."""
 ROTORS_OF_ALL_FORCES = 6
-"""Number of tilted rotors from which on they may give any force and moment together."""
+"""Number of tilted rotors that can give any force and moment together."""
 FEW_TILTED = (
-    "the allocation gives thrust and moments exactly, and lets side forces be; PX4's gives them all as nearly as so "
-    "few tilted rotors can, and commands differ by a per cent or so"
+    "the model's allocation meets thrust and moments exactly and ignores side forces; PX4's weighs all six, so that "
+    "commands differ by about 1 %"
 )
 """What to know of PX4's cascade with fewer tilted rotors than that."""
 GAIN = re.compile(r"M(?:P?)C_\w+_(?:P|I|D|FF|K)(?:_ACC)?")
@@ -76,7 +77,6 @@ CASCADE_PARAMETERS = ("MC_AIRMODE", "MPC_XY_P", "MPC_Z_P", *GAIN_PARAMETERS)
 
 OUTER_GAINS = ("MPC_XY_P", "MPC_Z_P", "MC_YAW_P")
 """Gains of position and yaw, which belong to the controllers outside of the vehicle."""
-LOOP_RATE = "IMU_GYRO_RATEMAX"
 """Rate of PX4's attitude and rate loops [Hz]."""
 LIMITS = (
     "THR_MDL_FAC",
@@ -297,8 +297,9 @@ def read_airframe(
     Args:
         text_or_parameters: The file's text, or parameters by name.
         mass: Mass of the vehicle [kg]; None: the file's.
-        arm: Length of an arm [m], for positions that are ratios. None: the positions of PX4's generic airframes are
-            ratios of SIH_L_PITCH and SIH_L_ROLL in the file, and other positions are in metres.
+        arm: Length of an arm [m], for positions that are ratios; positions in metres are multiplied by it, too. None:
+            the positions of PX4's generic airframes are ratios of SIH_L_PITCH and SIH_L_ROLL in the file, and other
+            positions are in metres.
         use_px4_cascade: Whether the inner loop is PX4's cascade with the file's gains, and not the article's.
         hover_speed: Mean speed of the rotors in hover [rad/s], which no parameter of PX4 gives. None: it is not known,
             and the vehicle's coefficients are nominal.

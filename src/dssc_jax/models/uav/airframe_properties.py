@@ -64,9 +64,12 @@ def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) 
     An estimate adds a note.
 
     Raises:
-        ConfigError: No body has the stated ones and the estimates together.
+        ConfigError: A stated one is not positive, or no body has the stated ones and the estimates together.
     """
     missing = [name for name in INERTIA if name not in parameters]
+    for name in set(INERTIA).difference(missing):
+        if not parameters[name] > 0.0:
+            raise ConfigError(name, f"must be > 0, got {parameters[name]:g} kg m^2")
     if missing:
         axes = "" if missing == list(INERTIA) else " about the other axes"
         notes.append(
@@ -94,9 +97,11 @@ def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str
         notes: The list to which a note is added.
 
     Raises:
-        ConfigError: MPC_THR_HOVER is not in (0, 1].
+        ConfigError: MPC_THR_HOVER is not in (0, 1], or SIH_T_MAX is not positive.
     """
     if "SIH_T_MAX" in parameters:
+        if not parameters["SIH_T_MAX"] > 0.0:
+            raise ConfigError("SIH_T_MAX", f"must be > 0, got {parameters['SIH_T_MAX']:g} N")
         entries: TomlTable = {"max_thrust": parameters["SIH_T_MAX"]}
         if "SIH_Q_MAX" in parameters:  # of the simulated plant; CA_ROTORi_KM is the allocation's assumption
             entries["torque_coefficient"] = parameters["SIH_Q_MAX"] / parameters["SIH_T_MAX"]
@@ -121,7 +126,7 @@ def contradicted_hover(parameters: Mapping[str, float], geometry: TomlTable) -> 
         return []
     return [
         f"MPC_THR_HOVER is {stated:g}, and hover takes {by_thrust:.3g} of SIH_T_MAX = {parameters['SIH_T_MAX']:g} N "
-        f"with {parameters['SIH_MASS']:g} kg: the vehicle has the thrust, and PX4's cascade the command"
+        f"with {parameters['SIH_MASS']:g} kg: the model takes SIH_T_MAX, and PX4's cascade the command"
     ]
 
 

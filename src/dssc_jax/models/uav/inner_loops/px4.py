@@ -58,8 +58,8 @@ SMALLEST_WEIGHT = 1e-4
 """Smallest yaw weight whose effect on the yaw gain is compensated."""
 LEAST_MISSING = 2.0**-23
 """Share of the largest torque beyond which a torque that the rotors do not give stops the integral: FLT_EPSILON."""
-GYRO_CUTOFF = "IMU_GYRO_CUTOFF; 0: no filter"
-SLOPE_CUTOFF = "IMU_DGYRO_CUTOFF; 0: no filter"
+CUTOFF_OF_GYRO = "IMU_GYRO_CUTOFF; 0: no filter"
+CUTOFF_OF_SLOPE = "IMU_DGYRO_CUTOFF; 0: no filter"
 
 TRIPLES = ("attitude_p", "rate_max", "rate_p", "rate_i", "rate_d", "rate_ff", "rate_integral_max", "rate_integral")
 """Fields with a value for roll, pitch and yaw each."""
@@ -102,8 +102,8 @@ class Px4Gains(NamedTuple):
     rate_d: Annotated[tuple[Scalar, ...], Quantity("s^2", "MC_ROLLRATE_D, ..", at_least=0.0)] = (0.003, 0.003, 0.0)
     rate_ff: Annotated[tuple[Scalar, ...], Quantity("s", "MC_ROLLRATE_FF, ..", at_least=0.0)] = (0.0, 0.0, 0.0)
     rate_integral_max: Annotated[tuple[Scalar, ...], Quantity("1", "MC_RR_INT_LIM, ..", at_least=0.0)] = (0.3, 0.3, 0.3)
-    gyro_cutoff: Annotated[float | None, Quantity("Hz", GYRO_CUTOFF, at_least=0.0, law=False)] = 40.0
-    derivative_cutoff: Annotated[float | None, Quantity("Hz", SLOPE_CUTOFF, at_least=0.0, law=False)] = 30.0
+    gyro_cutoff: Annotated[float | None, Quantity("Hz", CUTOFF_OF_GYRO, at_least=0.0, law=False)] = 40.0
+    derivative_cutoff: Annotated[float | None, Quantity("Hz", CUTOFF_OF_SLOPE, at_least=0.0, law=False)] = 30.0
     start: Start = Start.ZERO
     velocity_integral: Annotated[tuple[Scalar, ...], Quantity("m/s^2", "first integrals of velocity, x, y, z up")] = (
         0.0,

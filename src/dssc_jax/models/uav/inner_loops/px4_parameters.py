@@ -7,6 +7,7 @@ References:
 import itertools
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import quantities_of
@@ -45,6 +46,10 @@ FACTORS = ("MC_ROLLRATE_K", "MC_PITCHRATE_K", "MC_YAWRATE_K")
 FACTORED = ("rate_p", "rate_i", "rate_d")
 """The fields of these gains."""
 TILT = "MPC_TILTMAX_AIR"
+LOOP_RATE = "IMU_GYRO_RATEMAX"
+"""PX4's parameter of the rate of the attitude and rate loops [Hz]."""
+THRUSTS = {"thrust_min": "MPC_THR_MIN", "thrust_max": "MPC_THR_MAX"}
+"""The limits of the thrust, of which the first is the smaller one."""
 GAIN_PARAMETERS = (*PARAMETERS.values(), *itertools.chain(*(TRIPLES | DEGREES).values()), *FACTORS, TILT)
 """All parameters of PX4 that :func:`gains_from` takes."""
 
@@ -70,21 +75,21 @@ RANGES = {
     "MC_YAWRATE_K": (0.0, 5.0),
     "MPC_XY_P": (0.0, 2.0),
     "MPC_Z_P": (0.0, 1.5),
-    "MC_RR_INT_LIM": (0.0, 1.0),
-    "MC_PR_INT_LIM": (0.0, 1.0),
-    "MC_YR_INT_LIM": (0.0, 1.0),
     "IMU_GYRO_RATEMAX": (100.0, 2000.0),
 }
-"""The range that PX4 states for a parameter, in its unit; limits of the integrals are shares of the largest torque."""
-LEAST_RATE = 10.0
-"""Least usual limit of a body rate [degrees/s]; assumed. PX4's ranges begin at 0."""
+"""The range that PX4 states for a parameter, in its unit."""
+USUAL = {
+    **dict.fromkeys(TRIPLES["rate_integral_max"], (0.0, 1.0)),
+    **dict.fromkeys(DEGREES["rate_max"], (10.0, 1800.0)),
+}
+"""Assumed ranges of parameters for which PX4 states none, or one from 0 on: shares of the largest torque, degrees/s."""
 
 
 def require_admissible(parameters: Mapping[str, float]) -> None:
     """Require values of PX4's parameters that the cascade admits.
 
     Raises:
-        ConfigError: It does not admit one; where it is and the rule are in PX4's name and unit.
+        ConfigError: It does not admit one; the message has PX4's name and unit.
     """
     quantities = quantities_of(Px4Gains)
     fields = {name: field for field, name in PARAMETERS.items()}
@@ -93,14 +98,31 @@ def require_admissible(parameters: Mapping[str, float]) -> None:
     for name, field in fields.items():
         if name not in parameters:
             continue
-        is_angle = name == TILT or field in DEGREES
-        value = math.radians(parameters[name]) if is_angle else parameters[name]
-        rule = quantities[field].violated_by(value, value)
-        if rule is None:
-            continue
-        if is_angle:
-            rule += f" {quantities[field].unit}, and PX4 has degrees"
-        raise ConfigError(name, f"{rule}, got {parameters[name]:g}")
+        quantity = quantities[field]
+        unit = ""
+        if name == TILT or field in DEGREES:
+            unit = " degrees" if name == TILT else " degrees/s"
+            quantity = replace(quantity, above=in_degrees(quantity.above), below=in_degrees(quantity.below))
+        require_rule(name, parameters[name], quantity.violated_by(parameters[name], parameters[name]), unit)
+    for name in FACTORS:
+        require_rule(name, parameters.get(name, 1.0), "must be >= 0" if parameters.get(name, 1.0) < 0.0 else None)
+    least, largest = (parameters.get(name, Px4Gains._field_defaults[field]) for field, name in THRUSTS.items())
+    require_rule("MPC_THR_MIN", least, None if least < largest else f"must be < MPC_THR_MAX = {largest:g}")
+    cutoff = parameters.get("IMU_GYRO_CUTOFF", 0.0)
+    limit = 0.5 * (parameters.get(LOOP_RATE, 0.0) or Px4Gains._field_defaults["frequency"])
+    rule = None if cutoff < limit else f"must be below half the rate of the loops, {limit:g} Hz"
+    require_rule("IMU_GYRO_CUTOFF", cutoff, rule)
+
+
+def in_degrees(angle: float | None) -> float | None:
+    """A bound in degrees; None: there is none."""
+    return None if angle is None else math.degrees(angle)
+
+
+def require_rule(name: str, value: float, rule: str | None, unit: str = "") -> None:
+    """Raise a ConfigError for a parameter that violates a rule; None: it violates none."""
+    if rule is not None:
+        raise ConfigError(name, f"{rule}{unit}, got {value:g}")
 
 
 def unusual_gains(parameters: Mapping[str, float]) -> list[str]:
@@ -111,9 +133,11 @@ def unusual_gains(parameters: Mapping[str, float]) -> list[str]:
         if not low <= value <= high:
             unit = " degrees" if name == TILT else ""
             warnings.append(f"{name} is {value:g}{unit}; PX4's range is {low:g} to {high:g}: check the units")
-    for name in itertools.chain(*DEGREES.values()):
-        if parameters.get(name, LEAST_RATE) < LEAST_RATE:
-            warnings.append(f"{name} is {parameters[name]:g} degrees/s; usual are some hundred: check the units")
+    for name, (low, high) in USUAL.items():
+        value = parameters.get(name, low)
+        if not low <= value <= high:
+            unit = " degrees/s" if name in DEGREES["rate_max"] else ""
+            warnings.append(f"{name} is {value:g}{unit}; usual is {low:g} to {high:g}: check the units")
     return warnings
 
 
