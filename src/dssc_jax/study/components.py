@@ -48,11 +48,9 @@ class Component:
     elements: tuple[Element, ...] = ()
 
     def under(self, path: str, name: str) -> "Component":
-        """Place the component in a larger whole.
+        """Make the component a part of a whole: ``path`` precedes the paths of its numbers in the whole's parameters.
 
-        Args:
-            path: Path in the parameters of the whole, which precedes the paths of all numbers.
-            name: Name in the study, which precedes the dotted names of all numbers.
+        ``name`` precedes the dotted names of its numbers in the study.
         """
         return replace(self, numbers=tuple(number.under(path, name) for number in self.numbers))
 
@@ -116,10 +114,6 @@ def require_contract(kind: str, model: object, contract: type) -> None:
 def require_measure(kind: str, plant: Plant) -> None:
     """Require that the function ``measure`` of a user's plant takes three arguments: parameters, state and input.
 
-    Args:
-        kind: The plant's ``package.module:object``, for messages.
-        plant: The plant.
-
     Raises:
         ConfigError: The function takes another number of arguments.
     """
@@ -132,14 +126,7 @@ def require_measure(kind: str, plant: Plant) -> None:
 
 
 def member_of(entry: Entry, table: TomlTable) -> Any:
-    """Select the model of a registry row for a table.
-
-    The model is loaded from the file that the table names, is the only model of the row, or is selected by the row's
-    option.
-
-    Args:
-        entry: Row of the registry.
-        table: Table of the part.
+    """Select the model of a registry row for a table: from the table's file, the row's only model, or by its option.
 
     Raises:
         ConfigError: The option does not have the stated value, or the file is not valid.
@@ -243,9 +230,7 @@ def parse_params(
 
 
 def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable) -> tuple[Any, tuple[Number, ...]]:
-    """Parse a part, which a table has in one of its fields.
-
-    The part is a list of tables, a table by names, a table of one fixed type, or a table, text or number with a kind.
+    """Parse the part in a field of a table: a list of tables, a table by names, a fixed table, or a part with a kind.
 
     Args:
         name: Name of the field.
@@ -284,12 +269,7 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
 
 
 def parse_bare_number(value: object, kind: str, registry: Registry) -> tuple[Any, tuple[Number, ...]]:
-    """Parse a number that stands in place of a part's table; it is the first field of a part of the given kind.
-
-    Args:
-        value: The number, its law or its expression.
-        kind: Kind of the part.
-        registry: Kinds of the slot.
+    """Parse a number, law or expression in place of a part's table, as the first field of a part of this kind.
 
     Returns:
         Parameters of the part, and the records of its numbers. The stated number has an empty name within the part. So
@@ -358,10 +338,6 @@ def changes_of_items(table: TomlTable, count: int) -> list[TomlTable]:
 
 def parse_named(spec: FieldSpec, table: TomlTable) -> tuple[dict[str, Any], tuple[Number, ...]]:
     """Parse a table by names that the study chooses; its items are numbers, or parameters of one type.
-
-    Args:
-        spec: Form of the field that has the table.
-        table: The table.
 
     Returns:
         The items by name, and the records of their numbers.
