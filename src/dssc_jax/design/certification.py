@@ -130,7 +130,7 @@ def actuation_reach(study: Study, name: str) -> CertifiedReach:
 def parameter_refusal(study: Study, name: str) -> str:
     """Why the theorem does not cover a parameter of the study, in words.
 
-    Empty if the theorem covers every number that follows from the parameter.
+    The text is empty if the theorem covers every number that follows from the parameter.
     """
     for follower in study.followers(name):
         section, _, _ = follower.partition(".")

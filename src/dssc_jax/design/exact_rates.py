@@ -73,7 +73,13 @@ def rate_slopes(study: Study, template: LoopParams) -> np.ndarray:
 
 
 def shows_rate(study: Study, template: LoopParams, channel: int) -> bool:
-    """Whether a channel's sensor passes y' on unchanged: in a trial, it returns each jump of y' at once and exactly."""
+    """Whether a channel's sensor passes y' on unchanged: in a trial, it returns each jump of y' at once and exactly.
+
+    Args:
+        study: The study.
+        template: Parameters of the loop, without laws.
+        channel: Index of the channel.
+    """
     sensor = study.loop.sensor[channel]
     params = template.sensor[channel]
     key = jax.random.key(0)
@@ -90,6 +96,11 @@ def takes_rate(study: Study, template: LoopParams, channel: int) -> bool:
     """Whether a channel's controller takes y', by its declaration or by a trial.
 
     The trial compares the states and commands of the first two samples at several values of y' with those at y' = 0.
+
+    Args:
+        study: The study.
+        template: Parameters of the loop, without laws.
+        channel: Index of the channel.
     """
     controller = study.loop.controller[channel]
     if controller.takes_rate is not None:

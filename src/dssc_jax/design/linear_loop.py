@@ -135,7 +135,7 @@ def linearised_controller(controller: Component, outputs_count: int, sample_time
     with arithmetic():
 
         def sample(state: Any, outputs: jax.Array) -> tuple[Any, Scalar]:
-            """Next state and command, for a reference at rest."""
+            """Next state and command of the controller, for a reference at rest and these outputs of the plant."""
             measurement = Measurement(outputs[0], outputs[1], tuple(outputs[2:]))
             next_state, command, _ = model.step(gains, state, measurement, ReferencePoint(0.0, 0.0, 0.0), dt)
             return next_state, command.total
@@ -146,7 +146,7 @@ def linearised_controller(controller: Component, outputs_count: int, sample_time
         second_vector, unravel = ravel_pytree(second_state)
 
         def flat_sample(state: jax.Array, outputs: jax.Array) -> jax.Array:
-            """Next state, then the command, as one vector."""
+            """Next state of the controller, then the command, as one vector of shape (states + 1,)."""
             next_state, command = sample(unravel(state), outputs)
             next_vector, _ = ravel_pytree(next_state)
             return jnp.append(next_vector, command)

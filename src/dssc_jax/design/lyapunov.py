@@ -39,6 +39,11 @@ def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> EigenvalueRa
 
     The smallest one is computed as the determinant divided by the largest one. The formula with a difference would lose
     digits by cancellation.
+
+    Args:
+        k_p: High-frequency gain [1/s].
+        eps: Parameter eps of P.
+        gamma: Parameter gamma of P.
     """
     p_11 = gamma * k_p
     root = ((p_11 - 1.0) ** 2 + 16.0 * eps**2) ** 0.5
@@ -117,6 +122,13 @@ def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: N
 
     The matrix is affine in (alpha_1, alpha_2). So its smallest eigenvalue is concave, and its minimum over the
     rectangle of admissible values lies at one of the four vertices.
+
+    Args:
+        p: Parameters of Table 1.
+        bounds: Bounds of plant, disturbance, nominal control and reference.
+        k_p: High-frequency gain [1/s].
+        sigma: Values of sigma [m/s].
+        e: Values of e [m]; the shapes of k_p, sigma and e broadcast.
     """
     limit = alpha_bounds(p, bounds, derive(bounds, p.l0), sigma, e)
     gain = kappa_1(p, sigma, e)

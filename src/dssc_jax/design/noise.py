@@ -131,7 +131,13 @@ def mean_rates(functions: Any, l0: Scalar, noise: jax.Array, sigma: jax.Array, d
     """
 
     def rates(sigma: Scalar, noise: Scalar, previous: Scalar) -> tuple[Scalar, Scalar]:
-        """Two rates of u_av at one sample: by the change of the noise since the previous sample, and by phi_2."""
+        """Two rates of u_av at one sample [m/s^2]: by the change of the noise, and by phi_2.
+
+        Args:
+            sigma: True value of sigma [m/s].
+            noise: Noise of sigma at this sample [m/s].
+            previous: Noise of sigma at the previous sample [m/s].
+        """
         noisy_sigma = sigma + noise
         k_o, tau_av, tau_m = functions.at(noisy_sigma, sigma / l0, l0)
         gain = 1.0 / (k_o * tau_av)

@@ -164,12 +164,12 @@ def plant_examination(study: Study) -> PlantExamination:
         return PlantInput(tuple(commands), disturbance=tuple(matched), wind=None, inputs=tuple(inputs))
 
     def slope(x: jax.Array, signals: jax.Array) -> jax.Array:
-        """Slopes of the states by ``derivative``."""
+        """Slopes of the states x by ``derivative``, shape (states,), for the given signals."""
         slopes, _ = ravel_pytree(plant.derivative(params, unravel(x), drive_of(signals), 0.0))
         return slopes
 
     def measured_outputs(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The y and the y' of every channel."""
+        """The outputs y, then the rates y', of all channels, each of shape (channels,)."""
         measurements = plant.measure(params, unravel(x), drive_of(signals))
         outputs = jnp.stack([jnp.asarray(measurement.y) for measurement in measurements])
         return outputs, jnp.stack([jnp.asarray(measurement.y_dot) for measurement in measurements])
@@ -190,7 +190,7 @@ def plant_examination(study: Study) -> PlantExamination:
         """Examine the plant at a state and for these signals."""
 
         def outputs_at(state: jax.Array) -> jax.Array:
-            """The y of every channel."""
+            """The outputs y of all channels, shape (channels,), at a state."""
             outputs, _ = measured_outputs(state, signals)
             return outputs
 

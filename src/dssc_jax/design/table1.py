@@ -70,7 +70,7 @@ class Inequality(NamedTuple):
     def as_printed(
         cls, name: str, equation: str, value: Numeric, bound: Numeric, rounding: Numeric = BOUNDARY_WIDTH
     ) -> "Inequality":
-        """An inequality whose derived bound is also the printed one."""
+        """Make an inequality whose derived bound is also the printed one; the arguments are fields of the class."""
         return cls(name=name, equation=equation, value=value, bound=bound, printed_bound=bound, rounding=rounding)
 
     @property
@@ -108,26 +108,33 @@ class Inequality(NamedTuple):
 
 
 def f(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """The function f(k_p) = 4 eps k_p (gamma k_p - 4 eps^2), which the first design inequality requires to exceed 1."""
+    """The function f(k_p) = 4 eps k_p (gamma k_p - 4 eps^2), which the first design inequality requires to exceed 1.
+
+    Args:
+        k_p: High-frequency gain [1/s].
+        eps: Parameter eps of the Lyapunov matrix P.
+        gamma: Parameter gamma of P.
+    """
     return 4.0 * eps * k_p * (gamma * k_p - 4.0 * eps**2)
 
 
 def f_rounding(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """Bound of the absolute rounding error of f, whose two terms cancel."""
+    """Bound of the absolute rounding error of f, whose two terms may cancel; the arguments are those of :func:`f`."""
     return ULPS * 4.0 * eps * k_p * (gamma * k_p + 4.0 * eps**2)
 
 
 def kappa_c_bound(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
     """The bound (8 eps^2 + 2 gamma k_p)/(f - 1) of kappa_c that the Lyapunov function requires.
 
-    The result is NaN if f <= 1: the formula would then give a negative bound, which every kappa_c satisfies.
+    The result is NaN if f <= 1: the formula would then give a negative bound, which every kappa_c satisfies. The
+    arguments are those of :func:`f`.
     """
     excess = f(k_p, eps, gamma) - 1.0
     return ratio_where(excess > f_rounding(k_p, eps, gamma), 8.0 * eps**2 + 2.0 * gamma * k_p, excess)
 
 
 def kappa_d_bound(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """The bound (8 eps^2 gamma k_p + 4 eps^2)/f of kappa_d; NaN if f <= 0, where it has no meaning."""
+    """The bound (8 eps^2 gamma k_p + 4 eps^2)/f of kappa_d; NaN if f <= 0. The arguments are those of :func:`f`."""
     value = f(k_p, eps, gamma)
     return ratio_where(value > f_rounding(k_p, eps, gamma), 8.0 * eps**2 * gamma * k_p + 4.0 * eps**2, value)
 
@@ -161,7 +168,14 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
     error = BOUNDARY_WIDTH + f_error  # absolute, of f and of a boundary
 
     def disturbance_row(name: str, left: Numeric, first: Numeric, second: Numeric) -> Inequality:
-        """Row with a bound that the disturbance requires, as derived and as printed; see :func:`over_phi_b`."""
+        """Row with a bound that the disturbance requires, as derived and as printed.
+
+        Args:
+            name: The bounded quantity.
+            left: Value of this quantity, the left side of the inequality.
+            first: As for :func:`over_phi_b`.
+            second: As for :func:`over_phi_b`.
+        """
         derived = over_phi_b(first, second, 2.0 * p.eps, p.phi_b)
         printed = over_phi_b(first, second, 1.0, p.phi_b)
         return Inequality(name, f"{table}, Appendix F", left, bound=derived, printed_bound=printed)

@@ -50,6 +50,10 @@ def digest_of(values: np.ndarray, context: str = "") -> str:
 def digest_file(folder: Path, index: Index) -> Path:
     """Path of the file with the digests of a block.
 
+    Args:
+        folder: The results folder.
+        index: Position of the block.
+
     Raises:
         ConfigError: There is a folder in the place of the file.
     """

@@ -98,6 +98,13 @@ def prepare_worker(job: Job) -> tuple[Engine, Chunks]:
 def compute(job: Job, blocks: list[Block]) -> Share:
     """Run one task on a worker: compute some blocks, and write them to the results folder.
 
+    Args:
+        job: The run to which the blocks belong.
+        blocks: The blocks.
+
+    Returns:
+        The work that was done, with its times.
+
     Raises:
         ConfigError: The worker cannot load the study, or cannot reach or write the folder.
     """

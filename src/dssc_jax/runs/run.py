@@ -108,7 +108,7 @@ def run(
         block: Maximum number of lanes of a block; None: the engine chooses. Results depend neither on this argument nor
             on ``tile``, ``devices``, ``cluster``, ``notify`` and ``local``.
         tile: Number of lanes of a tile; None: the engine chooses.
-        devices: Number of devices to use; None: the engine chooses.
+        devices: Number of devices to use; None: all devices.
         cluster: ``tcp://host:port`` of a dask scheduler or ``local:N``; every worker must see ``out``. Devices and
             tiles are then the workers' own choice.
         notify: Called with a line of text when a worker of the cluster is lost or joins.
@@ -169,7 +169,7 @@ class ThisProcess:
     Args:
         study: The study.
         tile: Number of lanes of a tile; None: the engine chooses.
-        devices: Number of devices to use; None: the engine chooses.
+        devices: Number of devices to use; None: all devices.
     """
 
     study: Study

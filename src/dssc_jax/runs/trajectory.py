@@ -127,7 +127,7 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
         ``(draw, point) -> trajectory``, a dataset as from :func:`simulate`.
 
     Raises:
-        ConfigError: ``every`` is out of range. The returned function raises it for a ``draw`` or ``point`` out of range.
+        ConfigError: ``every`` is out of range. The returned function raises it for ``draw`` and ``point``.
     """
     if every < 1:
         raise ConfigError(study.source, f"every must be >= 1, got {every}")
@@ -208,7 +208,12 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], run: Run
 
 
 def events_in(study: Study, values: Mapping[str, float]) -> dict[str, list[str] | list[float]]:
-    """Kinds and times [s] of the study's events in a draw, as attributes of a trajectory; empty without events."""
+    """Kinds and times [s] of a study's events in a draw, as attributes of a trajectory; empty without events.
+
+    Args:
+        study: The study.
+        values: The draw's uncertain and swept numbers, by name.
+    """
     if not study.config.event:
         return {}
     plain_values = study.leaves()

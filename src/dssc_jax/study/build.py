@@ -150,7 +150,13 @@ def parse_content(table: TomlTable) -> StudyContent:
 
 
 def signals_of(loop: Loop, template: LoopParams, units: tuple[ChannelUnits, ...]) -> dict[str, SampledSignal]:
-    """Every signal that a loop computes at a sample, by the name of its column in a trajectory."""
+    """Every signal that a loop computes at a sample, by the name of its column in a trajectory.
+
+    Args:
+        loop: The loop.
+        template: Parameters of the loop; the leaves may be laws and expressions.
+        units: Units and meanings of each channel.
+    """
     controller_fields, plant_fields = info_fields(loop, template)
     reports = [quantities_of(model.info) for model in loop.controller]
     return sampled_signals(

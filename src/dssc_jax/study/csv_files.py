@@ -151,7 +151,7 @@ def are_numbers(texts: list[bytes]) -> bool:
 
 
 def has_equal_rows(header: bytes, rows: list[bytes], separator: bytes) -> bool:
-    """Whether every row has as many cells as the header."""
+    """Whether every row has as many cells as the header, if ``separator`` separates the cells."""
     count = len(split_cells(header, separator))
     return all(len(split_cells(row, separator)) == count for row in rows)
 

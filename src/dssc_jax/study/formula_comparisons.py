@@ -46,7 +46,11 @@ class ExpressionDifference:
 
 
 def unit_of(node: ast.expr, units: Mapping[str, str]) -> str | None:
-    """Unit of an expression, from the units of its signals by name.
+    """Unit of an expression, from the units of its signals.
+
+    Args:
+        node: Tree of the expression, or of a part of it.
+        units: Unit of each signal by name; other names are parameters, which have no unit.
 
     Returns:
         The unit; None for an expression without signals; :data:`MIXED_UNIT` if units differ, or if an operation other

@@ -178,6 +178,11 @@ def require_meaningful(requirement: Requirement, place: str) -> None:
 def require_new(requirement: Requirement, requirements: Sequence[Requirement], place: str) -> None:
     """Require that no earlier requirement bounds the same measure on the same side.
 
+    Args:
+        requirement: The new requirement.
+        requirements: The earlier requirements.
+        place: Dotted path of the new requirement's table, for messages.
+
     Raises:
         ConfigError: An earlier requirement bounds it.
     """

@@ -276,6 +276,11 @@ def parse_disturbances(
 ) -> list[Component]:
     """Parse the disturbance at the command of each channel, from ``[disturbance]`` or ``[[disturbance]]``.
 
+    Args:
+        table: The section ``disturbance``, a table or a list of tables.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        inputs: Names of the plant's disturbance inputs.
+
     Raises:
         ConfigError: A disturbance is not valid.
     """
@@ -292,6 +297,11 @@ def parse_inputs(
     table: TomlTable | list[TomlTable], channels: tuple[str, ...], inputs: Sequence[str]
 ) -> list[Component]:
     """Parse the disturbance at each named input of the plant; its kind is ``none`` where no table names the input.
+
+    Args:
+        table: The section ``disturbance``, a table or a list of tables.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        inputs: Names of the plant's disturbance inputs.
 
     Raises:
         ConfigError: A disturbance is not valid.
