@@ -103,8 +103,8 @@ def reach(study: Study, name: str, values: np.ndarray) -> CertifiedReach:
 def actuation_reach(study: Study, name: str) -> CertifiedReach:
     """How far Theorem 1 certifies a study along a number of the unmodelled dynamics.
 
-    The theorem covers only the absence of these dynamics. So the reach is 0, if the dynamics vanish when the number is
-    0, or else None.
+    The theorem covers only the absence of these dynamics. So the reach is 0 if the loop without them is certified and
+    they vanish when the number is 0. Otherwise it is None.
 
     Args:
         study: The study; its own sweep is ignored.
@@ -178,7 +178,7 @@ def refined_end(study: Study, name: str, values: np.ndarray, verdicts: np.ndarra
         refined_values = np.linspace(certified_end, failing_end, CELL_POINTS)
         refined_verdicts, _ = marks_at(study, name, refined_values)
         assert refined_verdicts is not None  # the theorem applies at both ends
-        first_failure = max(1, int(np.argmin(refined_verdicts)))
+        first_failure = max(1, int(np.argmin(refined_verdicts)))  # at least 1: the first value is certified
         certified_end = refined_values[first_failure - 1]
         failing_end = refined_values[first_failure]
     return float(certified_end)

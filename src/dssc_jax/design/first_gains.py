@@ -73,7 +73,7 @@ HALVINGS = 14
 FURTHER = 3
 """Halvings of the bandwidth that are tried after the best design so far."""
 NEARBY = tuple(2.0 ** (third / 3.0) for third in (2, 1, -1, -2))
-"""Bandwidths that are tried around the best of the halvings, relative to it."""
+"""Bandwidths that are tried around the best one of the halvings, as multiples of that one."""
 FASTER = 1.05
 """Least ratio of two settling times at which the faster design counts as better."""
 MOST_PEAK = 2.0

@@ -61,8 +61,8 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
     The bounds hold for all draws. In a sweep they are arrays over the points, with shapes that broadcast.
 
     Raises:
-        NotCovered: The plant is not of the class (5)-(8), the controller is not DSSC with certain functions of Table 1
-            and an exact sign, or a number has no bound.
+        NotCovered: The plant is not of the class (5)-(8), the controller is not DSSC with the functions of Table 1, the
+            controller's own numbers are uncertain or its sign is smoothed, or a number has no bound.
     """
     ends = ends_of(study)
     if study.loop.plant is not NORMAL_FORM:  # raises what the plant lacks, before what the controller lacks

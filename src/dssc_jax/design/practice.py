@@ -147,7 +147,10 @@ def command_bounds(p: Parameters, bounds: Bounds, residual_set: Guarantee) -> Co
 
 
 def determines_command(bounds: Bounds) -> Numeric:
-    """Whether the command has a bound: a stated or zero disturbance bound, and no integral in the nominal control."""
+    """Whether the command has a bound.
+
+    It has one if the disturbance is 0 or has the bound ``alpha_d``, and the nominal control has no integral.
+    """
     disturbance = [getattr(bounds, name) for name in DISTURBANCE_FIELDS]
     is_undisturbed = namespace(*disturbance).logical_not(sum(disturbance) > 0.0)
     has_no_integral = bounds.c_isigma + bounds.c_ie == 0.0

@@ -153,7 +153,7 @@ def summary_of_batch(
         study: The study.
         lanes: Outcomes, slacks and metrics by name, each of shape (points, draws).
         swept: Value of each swept parameter at each point, by name.
-        certified: Whether Theorem 1 certifies each point; None if it does not apply.
+        certified: Whether Theorem 1 certifies each point; None if the theorem does not apply.
         statements: Method and confidence of the statements.
     """
     outcome = lanes["outcome"]

@@ -83,8 +83,8 @@ def imported_files(name: str) -> dict[str, Path]:
     """Files of the user's modules that the module in ``module:object`` imports, directly or through other modules.
 
     The search reads the text of import statements, and so runs no code. It follows modules of the named module's
-    package, and modules below the folder from which the named module is imported, unless they are installed packages
-    there.
+    package, and modules below the folder from which the named module is imported, unless these lie in a folder of
+    installed packages.
 
     Returns:
         Files by the module's name, without the named module itself.

@@ -81,7 +81,7 @@ class Description(BaseModel):
         seen: Names of the fields in the plant's info.
         signals: Signals that requirements can name.
         metrics: Metrics of the study's code by name.
-        certified: Whether Theorem 1 holds at each point of the sweep, nested lists; None if it does not apply.
+        certified: Whether Theorem 1 holds at each point of the sweep, nested lists; None if the theorem does not apply.
         silence: Why Theorem 1 does not apply, in words; empty if it applies, or without the functions of Table 1.
     """
 
@@ -303,7 +303,7 @@ def describe_study(study: Study, certified: np.ndarray | None, silence: str) -> 
 
     Args:
         study: The study, with its models.
-        certified: Whether Theorem 1 holds at each point of the sweep; None if it does not apply.
+        certified: Whether Theorem 1 holds at each point of the sweep; None if the theorem does not apply.
         silence: Why Theorem 1 does not apply; empty if it applies, or without the functions of Table 1.
     """
     numbers = {}

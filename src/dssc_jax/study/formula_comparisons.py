@@ -94,7 +94,7 @@ def parse_comparison(
         upper: Text of the expression that must be the larger one.
         lower: Text of the expression that must be the smaller one.
         signals: Signals of the loop by name.
-        parameter: (name of a parameter) -> its value; raises UnknownParameter for an unknown name.
+        parameter: (name of a parameter) -> value of the parameter; raises UnknownParameter for an unknown name.
 
     Raises:
         ValueError: An expression is not valid, names something unknown, or is a number that is not finite; or neither
@@ -128,7 +128,7 @@ def parameter_value(name: str, signals: Mapping[str, SampledSignal], parameter: 
     Args:
         name: Name of the parameter.
         signals: Signals of the loop by name, for messages.
-        parameter: (name of a parameter) -> its value; raises UnknownParameter for an unknown name.
+        parameter: (name of a parameter) -> value of the parameter; raises UnknownParameter for an unknown name.
 
     Raises:
         ValueError: There is no parameter of this name, or it has no plain number.

@@ -60,7 +60,7 @@ class FormulaParser:
     Args:
         text: Text of the formula.
         signals: Signals of the loop by name.
-        parameter: (name of a parameter) -> its value; raises UnknownParameter for an unknown name.
+        parameter: (name of a parameter) -> value of the parameter; raises UnknownParameter for an unknown name.
         sample_time: Sample time T_s [s].
         steps: Number of samples of a flight.
         tokens: Tokens of the text, which :meth:`parse` fills in.

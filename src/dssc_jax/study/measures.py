@@ -181,7 +181,8 @@ def parse_signal_sensors(tables: SensorTables, measurable: Mapping[str, NamedSig
 def require_signals(controller: Controller, gains: Params, measures: Sequence[NamedSignal]) -> None:
     """Require that the study measures the signals that a controller takes.
 
-    A controller either names its signals, or takes all measured signals, whose number must then fit its gains.
+    A controller may name its signals. Otherwise its gains determine how many signals it takes; unless this number is 0,
+    the study must measure as many signals.
 
     Args:
         controller: Model of the controller.

@@ -71,7 +71,7 @@ def require_shallow(table: Mapping[str, object]) -> None:
     """Require that tables and lists are nested at most :data:`DEEPEST` levels deep.
 
     Raises:
-        ConfigError: They are nested deeper.
+        ConfigError: Tables or lists are nested deeper.
     """
     level: list[Any] = [table]  # all tables and lists at one depth
     for _ in range(DEEPEST):
