@@ -178,7 +178,7 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> FoundParameters:
 
     Args:
         table: Content of the design file.
-        bounds: Its bounds.
+        bounds: The bounds in the file, parsed.
 
     Raises:
         ConfigError: ``[goal]`` or ``[free]`` is not valid, or no design meets the goal.

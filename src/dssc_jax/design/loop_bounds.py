@@ -196,7 +196,7 @@ def form_of(model: Plant, params: Any) -> NormalForm:
 
     Args:
         model: The plant in state space or as a transfer function.
-        params: Its parameters.
+        params: Parameters of the plant, in plain numbers.
     """
     if model is STATE_SPACE:
         return normal_form(*transfer_function(RealisedSystem(params.a, params.b, params.c)))

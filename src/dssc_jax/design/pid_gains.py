@@ -157,8 +157,8 @@ def passed_command(model: Unmodelled, params: Params, state: State, extreme: flo
 
     Args:
         model: The actuator.
-        params: Its parameters, in plain numbers.
-        state: Its empty state.
+        params: Parameters of the actuator, in plain numbers.
+        state: Empty state of the actuator.
         extreme: Largest or smallest command of the design; the result if the actuator does not saturate.
     """
     output = float(model.output(params, state, extreme))
