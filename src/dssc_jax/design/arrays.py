@@ -14,7 +14,7 @@ def greater(first: Numeric, second: Numeric) -> Numeric:
 
 
 def ratio_where(condition: Numeric, numerator: Numeric, denominator: Numeric) -> Numeric:
-    """numerator/denominator where a condition holds, NaN elsewhere, where the denominator may be 0."""
+    """numerator/denominator where a condition holds; NaN elsewhere, where the denominator may be 0."""
     xp = namespace(condition, numerator, denominator)
     safe_denominator = xp.where(condition, denominator, 1.0)
     return xp.where(condition, numerator / safe_denominator, xp.nan)

@@ -13,7 +13,7 @@ from dssc_jax.design.arrays import Numeric
 
 LARGEST = 1e30  # numbers beyond it, or below its inverse, overflow in products of powers
 DISTURBANCE_FIELDS = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
-"""Bounds of the disturbance in (A1)-(A3), fields of :class:`Bounds`."""
+"""Names of the fields of :class:`Bounds` that bound the disturbance in (A1)-(A3)."""
 
 Numbers = TypeVar("Numbers", bound=NamedTuple)
 """A NamedTuple of numbers."""
@@ -58,13 +58,13 @@ def in_range(numbers: tuple[Numeric, ...]) -> Numeric:
 
 
 def require_plain(numbers: tuple[Numeric, ...]) -> None:
-    """Require that every number is plain, in its admissible interval, and of a magnitude with which one can compute.
+    """Require that every number is plain, in its admissible interval, and neither too large nor too small for float64.
 
     Args:
         numbers: A NamedTuple whose fields are annotated with quantities; a field may be a tuple of numbers.
 
     Raises:
-        ConfigError: A number is not; the message has the field, the rule and the value.
+        ConfigError: A number breaks one of these rules; the message has the field, the rule and the value.
     """
     for name, quantity in quantities(type(numbers)).items():
         value = getattr(numbers, name)
@@ -82,7 +82,7 @@ def require_plain(numbers: tuple[Numeric, ...]) -> None:
 class Bounds(NamedTuple):
     """Bounds of plant (A0), disturbance (A1)-(A3), nominal control (A4) and reference: the premises of Theorem 1.
 
-    ``zero_dynamics`` is None for a plant of order two, which has none.
+    ``zero_dynamics`` is None for a plant of order two, which has no zero dynamics.
     """
 
     k_min: Annotated[Numeric, positive("1/s", "lower bound of k_p (A0.a)")]
@@ -110,7 +110,7 @@ class Bounds(NamedTuple):
     zero_dynamics: ZeroDynamics | None = None
 
     def prepare(self) -> "Bounds":
-        """The same bounds, after a check of every field and of the rules for several fields.
+        """Check every field, and the rules that concern several fields, and return the same bounds.
 
         Raises:
             ConfigError: A number is out of its range, k_min > k_max, or A_eta is not Hurwitz.
@@ -128,7 +128,10 @@ class Bounds(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """The constants in the theorem's inequalities, which bound growth with sigma and e for every k_p up to k_max."""
+    """The constants in the inequalities of Theorem 1.
+
+    They bound how terms of the loop grow with sigma and e, for every k_p up to k_max.
+    """
 
     kd1_bar: Annotated[Numeric, Quantity("1/(m s)", "bound of |beta_1/sigma| growing with |e| (69)")]
     kd2_bar: Annotated[Numeric, Quantity("1/m", "bound of |beta_1/sigma| growing with |sigma| (69)")]
@@ -144,11 +147,11 @@ class Constants(NamedTuple):
 
 
 def derive(bounds: Bounds, l0: Numeric) -> Constants:
-    """Compute the constants of Appendix E, in which y = e + y_m and y' = -l0 e + sigma + y_m' are inserted.
+    """Compute the constants of Appendix E, with y = e + y_m and y' = -l0 e + sigma + y_m' inserted.
 
-    Two constants differ from the article's. kappa_e follows from the derivative of (64): the article misplaces a factor
-    l0 and omits k_p on du_p/de. In beta_m the terms l0 y_m'' of sigma_m'' and of (l0 - a_p) y_m'' cancel, which the
-    article does not use.
+    Two constants differ from those of the article. kappa_e follows from the derivative of (64), where the article
+    misplaces a factor l0 and omits k_p on du_p/de. In beta_m, the term l0 y_m'' of sigma_m'' cancels that of
+    (l0 - a_p) y_m''; the article keeps both.
 
     Args:
         bounds: Bounds of plant, disturbance, nominal control and reference.
@@ -183,10 +186,10 @@ def derive(bounds: Bounds, l0: Numeric) -> Constants:
 
 
 def coupling(dynamics: ZeroDynamics | None) -> tuple[float, float]:
-    """|C_eta A_eta| and |C_eta B_eta|, by which the zero dynamics (A_eta, B_eta, C_eta) act on the output.
+    """The norms |C_eta A_eta| and |C_eta B_eta|, the size of the effect of the zero dynamics on the output.
 
-    A_eta has companion form, so that its last row is -a, and B_eta = (0, ..., 0, 1). Both norms are 0 for a plant of
-    order two, which has no zero dynamics.
+    A_eta has companion form with the last row -a, and B_eta = (0, ..., 0, 1). Both norms are 0 for a plant of order
+    two, which has no zero dynamics.
     """
     if dynamics is None:
         return 0.0, 0.0

@@ -12,13 +12,13 @@ from dssc_jax.design.table1 import Inequality, InequalityState, Parameters, ineq
 
 
 class Lyapunov(NamedTuple):
-    """Eigenvalues of the Lyapunov matrices P (53) and Q - 2 eps I (54), and what is proved for all sigma, e and k_p.
+    """Eigenvalues of the Lyapunov matrices P (53) and Q - 2 eps I (54), and what is proved about them.
 
     Args:
         p_smallest: Smallest eigenvalue of P over the interval of k_p; NaN where P is not positive definite.
         q_smallest: Smallest eigenvalue of Q - 2 eps I that a search over sigma, e, alpha_1, alpha_2 and k_p found.
-        q_proved: Whether Q - 2 eps I > 0 is proved for all of them.
-        functions_proved: Whether k_o tau_av > 0 and tau_m > 0 are proved for all sigma, e.
+        q_proved: Whether Q - 2 eps I > 0 is proved for all sigma, e, alpha_1, alpha_2 and k_p.
+        functions_proved: Whether k_o tau_av > 0 and tau_m > 0 are proved for all sigma and e.
     """
 
     p_smallest: float
@@ -28,18 +28,18 @@ class Lyapunov(NamedTuple):
 
 
 class Certificate(NamedTuple):
-    """The results of checking a design under its bounds.
+    """The results of checking a design under its bounds by Theorem 1.
 
     Args:
-        inequalities: Table 1, row by row.
+        inequalities: The inequalities of Table 1, row by row.
         constants: The constants in the inequalities.
         lyapunov: Results for P, Q - 2 eps I and the functions.
         small_gain: The smallest phi_b of the small-gain condition, by three formulas.
         phi_b: The phi_b of the design.
         guarantee: Decay rate and residual sets; the rate is 0 and the sets are infinite if Q or the small gain is not
             proved.
-        practice: Sampling period and modulation that the design needs.
-        interconnected: Whether the small-gain condition holds, as derived.
+        practice: Sampling period that the design needs, and bounds that its modulation must dominate.
+        interconnected: Whether the derived small-gain condition holds.
     """
 
     inequalities: tuple[Inequality, ...]
@@ -62,7 +62,7 @@ class Certificate(NamedTuple):
         return self.table and self.interconnected
 
     def to_dict(self) -> JsonObject:
-        """The certificate as JSON's types, in which NaN and infinity must still be replaced."""
+        """The certificate in the types of JSON, except that NaN and infinity are not yet replaced."""
         rows = [
             {
                 "name": row.name,
@@ -98,7 +98,7 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
         bounds: Bounds of plant, disturbance, nominal control and reference.
 
     Returns:
-        Each inequality with its slack, as derived and as printed, and the resulting guarantee.
+        The certificate: each inequality with its slack, as derived and as printed, and the resulting guarantee.
 
     Raises:
         ConfigError: A number is out of its range, or the bounds contradict themselves.
@@ -138,7 +138,7 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
 
 
 def as_floats(numbers: Numbers) -> Numbers:
-    """A NamedTuple of numbers with Python's floats in place of arrays of one element; text stays."""
+    """Replace every number, or array of one element, in a NamedTuple by a plain float; text stays."""
     values = {}
     for name, value in numbers._asdict().items():
         values[name] = value if isinstance(value, str) else float(value)
@@ -149,11 +149,12 @@ def certified(parameters: Parameters, bounds: Bounds) -> Numeric:
     """Whether Theorem 1 holds, for many designs at once, by the rule of :attr:`Certificate.certified`.
 
     Args:
-        parameters: Parameters of the designs: numbers, or arrays, traced or not, of shapes that broadcast.
-        bounds: Their bounds, of such shapes, too; the zero dynamics are plain numbers.
+        parameters: Parameters of the designs: numbers, NumPy arrays or traced values with shapes that broadcast. Arrays
+            of JAX must be float64.
+        bounds: Bounds of the designs, in the same forms; the zero dynamics must be plain numbers.
 
     Returns:
-        True or False for each design; False where a number is out of its range. JAX's arrays must be float64.
+        True or False for each design; False where a number is out of its range.
     """
     p = parameters
     holds = in_range(p) & in_range(bounds) & (bounds.k_min <= bounds.k_max) & small_gain_holds(p, bounds)

@@ -21,23 +21,23 @@ UNCOVERED = {
     "differentiator": "it takes y' as it is",
     "controller.rho": "it takes sliding for granted",
 }
-"""Numbers that the theorem does not cover, with the reason."""
+"""Sections and numbers of a study that the theorem does not cover, with the reason in words."""
 ACTUATION = ("unmodelled", "actuator")
 """Sections of the study file with the unmodelled dynamics."""
 LIMITS = ("rate", "limit")
 """Fields of unmodelled dynamics that are infinite, rather than 0, where the dynamics are absent."""
 REFINEMENTS = 2
-"""Refinements of the cell, between two values of the number, in which the certificate is lost."""
+"""How often the cell between the last certified and the first uncertified value is refined."""
 CELL_POINTS = 33
-"""Points of a refined cell: two refinements divide it by 32 squared, or 1024."""
+"""Points of a refined cell, both ends included: two refinements divide the cell by 32^2 = 1024."""
 
 
 class Mark(NamedTuple):
     """The theorem's result for a study.
 
     Args:
-        certified: True or False for each point, with the shape of the sweep's axes; None if it does not apply.
-        reason: Why it does not apply; empty if it applies.
+        certified: Whether the theorem holds at each point, shape (axes...); None if the theorem does not apply.
+        reason: Why the theorem does not apply; empty if it applies.
     """
 
     certified: np.ndarray | None
@@ -48,7 +48,7 @@ class CertifiedReach(NamedTuple):
     """How far the theorem certifies a loop as one of its numbers varies.
 
     Args:
-        value: The last certified value, for all draws at once; None if there is none.
+        value: The last value at which the theorem holds for all draws; None if there is none.
         text: The theorem's result for the number, in words.
     """
 
@@ -76,16 +76,16 @@ def mark(study: Study) -> Mark:
 
 
 def reach(study: Study, name: str, values: np.ndarray) -> CertifiedReach:
-    """How far Theorem 1 certifies a study as values of one number replace the number's law or value.
+    """How far Theorem 1 certifies a study as one number moves away from its safe end.
 
-    The theorem assumes that there are no unmodelled dynamics. A lag mu s W(mu s) u (Section V-A2) depends on u', so it
-    is no disturbance of the class (A0)-(A3), however small mu is. The effect of a limit on the command is no such
-    disturbance either.
+    Each value takes the place of the number's law or value. The theorem assumes that there are no unmodelled dynamics.
+    A lag mu s W(mu s) u (Section V-A2) depends on u', so it is no disturbance of the class (A0)-(A3), however small mu
+    is. The effect of a limit on the command is no such disturbance either.
 
     Args:
         study: The study; its own sweep is ignored.
         name: Dotted name of the number.
-        values: Values of the number, from its safe end, shape (n,).
+        values: Values of the number, rising or falling from its safe end, shape (n,).
     """
     section, _, _ = name.partition(".")
     if name in study.parameter_names:
@@ -101,7 +101,10 @@ def reach(study: Study, name: str, values: np.ndarray) -> CertifiedReach:
 
 
 def actuation_reach(study: Study, name: str) -> CertifiedReach:
-    """How far Theorem 1 certifies a study along a number of the unmodelled dynamics: it covers only their absence.
+    """How far Theorem 1 certifies a study along a number of the unmodelled dynamics.
+
+    The theorem covers only the absence of these dynamics. So the reach is 0 if the loop without them is certified and
+    they vanish when the number is 0. Otherwise it is None.
 
     Args:
         study: The study; its own sweep is ignored.
@@ -127,7 +130,7 @@ def actuation_reach(study: Study, name: str) -> CertifiedReach:
 def parameter_refusal(study: Study, name: str) -> str:
     """Why the theorem does not cover a parameter of the study, in words.
 
-    Empty if the theorem covers every number that follows from the parameter.
+    The text is empty if the theorem covers every number that follows from the parameter.
     """
     for follower in study.followers(name):
         section, _, _ = follower.partition(".")
@@ -137,7 +140,7 @@ def parameter_refusal(study: Study, name: str) -> str:
 
 
 def certified_up_to(study: Study, name: str, values: np.ndarray) -> CertifiedReach:
-    """How far Theorem 1 certifies a study along a number that it covers.
+    """How far Theorem 1 certifies a study along a number that the theorem covers.
 
     The cell between the last certified and the first uncertified value is refined.
 
@@ -160,13 +163,13 @@ def certified_up_to(study: Study, name: str, values: np.ndarray) -> CertifiedRea
 
 
 def refined_end(study: Study, name: str, values: np.ndarray, verdicts: np.ndarray) -> float:
-    """The last certified value of a number, from finer and finer values in the cell in which the certificate is lost.
+    """The last certified value of a number, found by refining the cell in which the certificate is lost.
 
     Args:
         study: The study.
         name: Dotted name of the number, or :data:`SPREAD`.
         values: Values of the number, from its safe end, shape (n,).
-        verdicts: Whether each is certified, shape (n,): the first one is, and not all are.
+        verdicts: Whether each value is certified, shape (n,); True for the first value, and False for at least one.
     """
     first_failure = int(np.argmin(verdicts))
     certified_end = values[first_failure - 1]
@@ -175,19 +178,19 @@ def refined_end(study: Study, name: str, values: np.ndarray, verdicts: np.ndarra
         refined_values = np.linspace(certified_end, failing_end, CELL_POINTS)
         refined_verdicts, _ = marks_at(study, name, refined_values)
         assert refined_verdicts is not None  # the theorem applies at both ends
-        first_failure = max(1, int(np.argmin(refined_verdicts)))
+        first_failure = max(1, int(np.argmin(refined_verdicts)))  # at least 1: the first value is certified
         certified_end = refined_values[first_failure - 1]
         failing_end = refined_values[first_failure]
     return float(certified_end)
 
 
 def marks_at(study: Study, name: str, values: np.ndarray) -> Mark:
-    """The theorem's result at each value of a number or of :data:`SPREAD`, in the order of the values, shape (n,)."""
+    """The theorem's result at each value of a number, or of the factor :data:`SPREAD`, in the order of ``values``."""
     return marks_over_spread(study, values) if name == SPREAD else marks_along(study, name, values)
 
 
 def marks_along(study: Study, name: str, values: np.ndarray) -> Mark:
-    """The theorem's result at each value of one number, in the order of the values, shape (n,).
+    """The theorem's result at each value of one number, in the order of ``values``, shape (n,).
 
     Args:
         study: The study; its own sweep is ignored.
@@ -202,9 +205,10 @@ def marks_along(study: Study, name: str, values: np.ndarray) -> Mark:
 
 
 def marks_over_spread(study: Study, values: np.ndarray) -> Mark:
-    """The theorem's result for a study whose laws are widened by each of several factors, shape (n,).
+    """The theorem's result for a study whose laws are all widened by each of several factors, shape (n,).
 
-    A law of unbounded support stays unbounded. A study in which a law leaves its number's interval is not certified.
+    A law with unbounded support keeps this support. A study is not certified for a factor with which a law leaves the
+    admissible interval of its number.
 
     Args:
         study: The study; its own sweep is ignored.
@@ -224,13 +228,13 @@ def marks_over_spread(study: Study, values: np.ndarray) -> Mark:
 
 
 def widened_laws(study: Study, share: float) -> dict[str, Any]:
-    """A uniform law in place of each law with bounded support, between the moved ends of that support, by name.
+    """Widened laws of a study by dotted name: for each law with bounded support, a uniform law between the moved ends.
 
-    Theorem 1 depends on the ends alone. A number takes the place of a law without width.
+    A uniform law suffices, since Theorem 1 depends on the ends alone. If both ends coincide, a number takes its place.
 
     Args:
         study: The study.
-        share: Factor on the distance of the ends from the median.
+        share: Factor on the distance of each end from the median of the law.
     """
     changes: dict[str, Any] = {}
     for name, law in study.laws.items():

@@ -11,30 +11,31 @@ from dssc_jax.study import Study
 
 
 class Ends(NamedTuple):
-    """Parameters of a loop, or of a part, with the lowest and with the highest value of every number.
+    """Parameters of a loop, or of one of its parts, with every number at its lowest and at its highest value.
 
-    Each value is a number, or an array over the sweep's axes.
+    Each value is a number, or an array that broadcasts over the sweep's axes.
     """
 
     low: Numeric
     high: Numeric
 
     def largest(self, name: str) -> Numeric:
-        """Largest magnitude of the number in a field, between its ends."""
+        """Largest magnitude that the number in a field has between its ends."""
         return np.maximum(np.abs(getattr(self.low, name)), np.abs(getattr(self.high, name)))
 
     def part(self, name: str, index: int | None = None) -> "Ends":
-        """The ends of the part in a field, or of the element at an index, such as a channel's, in a tuple of parts."""
+        """The ends of the part in a field; with an index, of that element in a field with a tuple of parts."""
         low = getattr(self.low, name)
         high = getattr(self.high, name)
         return Ends(low, high) if index is None else Ends(low[index], high[index])
 
 
 def ends_of(study: Study) -> Ends:
-    """The loop's parameters at both ends of every law; the values of a swept number lie along its axis.
+    """The parameters of a study's loop at both ends of every law.
 
-    The ends of a number that follows from parameters contain all its values, whatever the other numbers are. So
-    whatever holds for all numbers between their ends holds for every draw.
+    A swept number has the values of its axis at both ends, as an array along the axis. The ends of a number that
+    follows from parameters enclose all values of the number. So a statement about all numbers between their ends, each
+    independent of the others, holds for every draw.
     """
     ends: dict[str, tuple[Numeric, Numeric]] = {name: law.support for name, law in study.written_laws.items()}
     for position, (name, values) in enumerate(study.axes.items()):
@@ -52,7 +53,7 @@ def ends_of(study: Study) -> Ends:
 def expression_ends(study: Study, ends: Mapping[str, tuple[Numeric, Numeric]]) -> dict[str, tuple[Numeric, Numeric]]:
     """Lowest and highest value of every number that follows from uncertain or swept parameters, by name.
 
-    They are infinite where the expression is not defined between the ends of its parameters.
+    The values are infinite where the expression is not defined everywhere between the ends of its parameters.
 
     Args:
         study: The study.

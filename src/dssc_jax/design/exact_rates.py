@@ -12,13 +12,13 @@ from dssc_jax.models.disturbances import NO_DISTURBANCE
 from dssc_jax.study import Study
 
 RATES = (1e-3, -1e-3, 1.0, -1.0, 1e3, -1e3)
-"""Values of y' that a controller is given to see whether it takes y'."""
+"""Values of y' [unit of y/s] in the trials that show whether a sensor passes y' on and a controller takes it."""
 
 
 def exact_rates(study: Study) -> tuple[str, ...]:
     """Names of the channels whose y' contains a disturbance and reaches the controller unchanged.
 
-    Such a controller sees the disturbance at once, which flatters the loop unless y' is measured.
+    Such a controller sees the disturbance at once. A real loop that does not measure y' performs worse.
 
     Args:
         study: The study; uncertain numbers have their median values.
@@ -44,13 +44,15 @@ def exact_rates(study: Study) -> tuple[str, ...]:
 
 
 def rate_slopes(study: Study, template: LoopParams) -> np.ndarray:
-    """Derivatives of the plant's y' by the disturbances at its start, shape (channels, channels + inputs).
-
-    The columns are the disturbances at the commands, then those at the named inputs.
+    """Derivatives of the plant's y' with respect to the disturbances at the plant's start.
 
     Args:
         study: The study.
-        template: Parameters of its loop, without laws.
+        template: Parameters of the loop, without laws.
+
+    Returns:
+        Matrix of shape (channels, channels + inputs); its columns belong to the disturbances at the commands, then to
+        those at the named inputs.
     """
     loop = study.loop
     plant = loop.mimo_plant
@@ -71,7 +73,13 @@ def rate_slopes(study: Study, template: LoopParams) -> np.ndarray:
 
 
 def shows_rate(study: Study, template: LoopParams, channel: int) -> bool:
-    """Whether a channel's sensor passes y' on unchanged: in a trial, a jump of y' arrives at once and in full."""
+    """Whether a channel's sensor passes y' on unchanged: in a trial, it returns each jump of y' at once and exactly.
+
+    Args:
+        study: The study.
+        template: Parameters of the loop, without laws.
+        channel: Index of the channel.
+    """
     sensor = study.loop.sensor[channel]
     params = template.sensor[channel]
     key = jax.random.key(0)
@@ -87,7 +95,12 @@ def shows_rate(study: Study, template: LoopParams, channel: int) -> bool:
 def takes_rate(study: Study, template: LoopParams, channel: int) -> bool:
     """Whether a channel's controller takes y', by its declaration or by a trial.
 
-    In the trial, a controller that takes y' gives other states or commands in its first two samples for some y'.
+    The trial compares the states and commands of the first two samples at several values of y' with those at y' = 0.
+
+    Args:
+        study: The study.
+        template: Parameters of the loop, without laws.
+        channel: Index of the channel.
     """
     controller = study.loop.controller[channel]
     if controller.takes_rate is not None:
@@ -98,7 +111,7 @@ def takes_rate(study: Study, template: LoopParams, channel: int) -> bool:
     signals = (0.0,) * int(controller.takes(gains))
 
     def two_samples(rate: float) -> list[Scalar]:
-        """State after one sample, and commands of two samples, at a constant y'."""
+        """State after the first sample, and commands of the first two samples, at a constant y'."""
         measurement = Measurement(0.0, rate, signals)
         state, command, _ = controller.step(gains, controller.init(gains, measurement, origin), measurement, origin, dt)
         _, second_command, _ = controller.step(gains, state, measurement, origin, dt)
@@ -110,7 +123,7 @@ def takes_rate(study: Study, template: LoopParams, channel: int) -> bool:
 
 
 def rate_warning(study: Study) -> str | None:
-    """A warning of one sentence if a controller sees a disturbance at once in an exact y'; None otherwise."""
+    """A warning in one sentence if a controller sees a disturbance at once in an exact y'; None otherwise."""
     channels = exact_rates(study)
     if not channels:
         return None

@@ -1,4 +1,4 @@
-"""Check whether the values of a recorded disturbance or wind lie closer together than the steps of the run."""
+"""Check whether the values of a recorded disturbance or wind lie closer together in time than the steps of the run."""
 
 import jax
 import numpy as np
@@ -7,11 +7,11 @@ from dssc_jax.core.records import HeldRecord, Pieces
 from dssc_jax.study import Study
 
 SHORTEST_SHARE = 0.999
-"""Distance of two times, in steps, below which they count as closer: times on the grid of the steps have roundings."""
+"""Distance of two times, in steps, below which they count as closer than a step; it allows for rounding."""
 
 
 def record_warnings(study: Study) -> list[str]:
-    """Warnings of recorded disturbances and winds whose values lie closer together than a run resolves.
+    """Warnings of recorded disturbances and winds whose values lie closer together in time than a run resolves.
 
     A held record acts through its mean over each sample. A record joined by lines or splines acts through its values at
     the stages of the integrator.
@@ -45,15 +45,15 @@ def record_warnings(study: Study) -> list[str]:
 
 
 def is_record(part: object) -> bool:
-    """Whether a part of a study's parameters is a record."""
+    """Whether a part of a study's parameters is a record, held or joined."""
     return isinstance(part, HeldRecord | Pieces)
 
 
 def shortest_distance(records: list[Pieces], duration: float) -> float:
-    """Shortest distance [s] of two successive times of a record within a run; infinite without two such times.
+    """Shortest distance [s] between two successive times of one record; infinite if no record has two times in the run.
 
     Args:
-        records: The records.
+        records: The records; only times from 0 to the duration count.
         duration: Duration of the run [s].
     """
     distances = []

@@ -26,14 +26,14 @@ INFEASIBLE_COST = 1e9  # cost of a candidate that cannot be computed
 
 
 class Limits(NamedTuple):
-    """How far single bounds can change before the certificate of a fixed design is lost.
+    """How far phi_b, or one bound, can change before a design loses its certificate; all other numbers stay.
 
     Args:
-        phi_b: Smallest phi_b, with the other parameters fixed.
-        disturbance: Largest common factor on the disturbance bounds; infinite if they do not matter.
-        k_min: Smallest k_min [1/s].
-        k_max: Largest k_max [1/s].
-        a_max: Largest a_max [1/s].
+        phi_b: Smallest certified phi_b.
+        disturbance: Largest certified factor on all bounds of the disturbance together; infinite without a limit.
+        k_min: Smallest certified k_min [1/s].
+        k_max: Largest certified k_max [1/s].
+        a_max: Largest certified a_max [1/s].
     """
 
     phi_b: float
@@ -44,11 +44,11 @@ class Limits(NamedTuple):
 
 
 def limits(p: Parameters, bounds: Bounds) -> Limits:
-    """The limits of a certified design, each found with everything else fixed; NaN for an uncertified design.
+    """Find the limits of a certified design, each with all other numbers fixed; NaN for an uncertified design.
 
     Args:
-        p: Parameters of the design.
-        bounds: Its bounds.
+        p: Parameters of the design, in plain numbers.
+        bounds: Bounds of the design, in plain numbers.
 
     Example:
         >>> from dssc_jax.design import synthesise
@@ -59,23 +59,23 @@ def limits(p: Parameters, bounds: Bounds) -> Limits:
     """
 
     def is_certified_with_phi_b(factor: float) -> bool:
-        """Whether the design is certified with phi_b times a factor."""
+        """Whether the design is certified if phi_b is multiplied by a factor."""
         return bool(certified(p._replace(phi_b=p.phi_b * factor), bounds))
 
     def is_certified_with_disturbance(factor: float) -> bool:
-        """Whether the design is certified with all bounds of the disturbance times a factor."""
+        """Whether the design is certified if all bounds of the disturbance are multiplied by a factor."""
         return bool(certified(p, scaled_bounds(bounds, factor)))
 
     def is_certified_with_k_min(factor: float) -> bool:
-        """Whether the design is certified with k_min times a factor."""
+        """Whether the design is certified if k_min is multiplied by a factor."""
         return bool(certified(p, bounds._replace(k_min=bounds.k_min * factor)))
 
     def is_certified_with_k_max(factor: float) -> bool:
-        """Whether the design is certified with k_max times a factor."""
+        """Whether the design is certified if k_max is multiplied by a factor."""
         return bool(certified(p, bounds._replace(k_max=bounds.k_max * factor)))
 
     def is_certified_with_a_max(factor: float) -> bool:
-        """Whether the design is certified with a_max + factor - 1, since a_max may be 0."""
+        """Whether the design is certified if ``factor - 1`` [1/s] is added to a_max, which may be 0."""
         return bool(certified(p, bounds._replace(a_max=bounds.a_max + factor - 1.0)))
 
     smallest_factor = 1.0 / LARGEST_FACTOR
@@ -94,15 +94,15 @@ def scaled_bounds(bounds: Bounds, factor: float) -> Bounds:
 
 
 def last_true(holds: Callable[[float], bool], end: float) -> float:
-    """The factor between 1 and ``end`` up to which a condition holds, by bisection of the factor's logarithm.
+    """The last factor, from 1 towards ``end``, at which a condition holds, by bisection of the factor's logarithm.
 
     Args:
         holds: (factor) -> whether the condition holds.
-        end: Largest factor > 1, or smallest factor < 1.
+        end: Largest factor, above 1, or smallest factor, below 1.
 
     Returns:
-        The factor; NaN if the condition does not hold at 1. If it still holds at ``end``, there is no limit: infinity
-        for a large factor, 0 for a small one.
+        The factor; NaN if the condition does not hold at 1. If the condition still holds at ``end``, there is no limit:
+        the result is then infinity for an ``end`` above 1, and 0 for an ``end`` below 1.
     """
     if not holds(1.0):
         return float("nan")
@@ -132,16 +132,17 @@ OBJECTIVES: dict[Criterion, Callable[[Parameters, Bounds], np.ndarray]] = {
     Criterion.GAIN: lambda p, bounds: (p.kappa_c**2 + p.kappa_d) * (p.phi_a / p.delta + p.phi_b),
     Criterion.PHI_B: lambda p, bounds: p.phi_b,
 }
-"""Positive function of a design that each criterion minimises; the gain is 1/(k_o tau_av) at sigma = e = 0."""
+"""Positive function that each criterion minimises; for ``GAIN`` it is 1/(k_o tau_av) at sigma = e = 0."""
 
 
 class DesignGoal(NamedTuple):
     """The goal of an optimised design.
 
     Args:
-        criterion: The quantity to minimise; the decay rate is maximised.
-        residual: Required bound on the guaranteed |e| [m].
-        sample_time: Smallest sampling period that the design must permit, at half the sampling limit of the origin [s].
+        criterion: The quantity to minimise, or to maximise if it is the decay rate.
+        residual: Largest admissible guaranteed bound of |e| [m]; infinite: there is no limit.
+        sample_time: Sampling period [s] that the design must permit at sigma = e = 0, where half the sampling limit is
+            used; 0: there is no limit.
     """
 
     criterion: Criterion = Criterion.RESIDUAL
@@ -155,16 +156,16 @@ RANGES: dict[str, tuple[float, float]] = {
     "eps_1": (0.05, 50.0),
     "eps_3": (0.01, 1000.0),
 }
-"""Default ranges of the optimiser (assumed)."""
+"""Ranges of the free parameters that the optimiser varies by default, in their units (assumed)."""
 
 
 def optimise(
     bounds: Bounds, free: Free, goal: DesignGoal, ranges: Mapping[str, tuple[float, float]] = RANGES, seed: int = 0
 ) -> Free:
-    """The free parameters of Table 1 that are best for a goal, by differential evolution on their logarithms.
+    """Find the free parameters of Table 1 that are best for a goal, by differential evolution on their logarithms.
 
-    Every candidate is a design of the strict recipe. The search minimises the logarithm of the criterion's objective; a
-    candidate that misses the goal costs more than every candidate that meets it.
+    Every candidate is a design of the strict recipe. The search minimises the logarithm of the criterion's objective.
+    A candidate that misses the goal costs more than every candidate that meets the goal.
 
     Args:
         bounds: The bounds.
@@ -177,7 +178,8 @@ def optimise(
         ``free`` with the optimal values.
 
     Raises:
-        ConfigError: A range is invalid, or no design in the ranges meets the goal; reports the nearest design.
+        ConfigError: A range is invalid, or no design in the ranges meets the goal; the message describes the nearest
+            design.
 
     Example:
         >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)
@@ -204,7 +206,7 @@ def optimise(
         return free._replace(**dict(zip(ranges, np.exp(logarithms), strict=True)))
 
     def cost(logarithms: np.ndarray) -> np.ndarray:
-        """Costs of all candidates of a generation, shape (candidates,)."""
+        """Costs of the candidates of a generation, shape (candidates,), from logarithms, shape (fields, candidates)."""
         with np.errstate(all="ignore"):  # what overflows is no candidate
             p = design(bounds, candidate(logarithms))
             excess = shortfall(p, bounds, goal)
@@ -228,7 +230,7 @@ def optimise(
 
 
 def edges(free: Free, ranges: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
-    """Sentences on the optimal parameters that lie at an end of their range, where a wider range may do better.
+    """Sentences on the optimal parameters that lie at an end of their range: a wider range may give a better design.
 
     Args:
         free: The optimal parameters.
@@ -246,7 +248,9 @@ def edges(free: Free, ranges: Mapping[str, tuple[float, float]]) -> tuple[str, .
 
 
 def shortfall(p: Parameters, bounds: Bounds, goal: DesignGoal) -> np.ndarray:
-    """How far designs miss the limits of a goal: the sum of the logarithms of the ratios; 0 for a design that meets it.
+    """How far designs miss the limits of a goal; 0 for a design that meets the goal.
+
+    The value is the sum over the violated limits of the logarithm of the ratio between value and limit.
 
     Args:
         p: Parameters of the designs, arrays of one shape or numbers.

@@ -1,4 +1,4 @@
-"""Design files: ``[bounds]`` with ``[parameters]`` to check, or with ``[free]`` and ``[goal]`` for synthesis."""
+"""Design files: ``[bounds]`` with ``[parameters]`` to check, or with ``[free]`` or ``[goal]`` for synthesis."""
 
 import json
 from collections.abc import Mapping
@@ -19,15 +19,15 @@ from dssc_jax.study.table_errors import first_error
 from dssc_jax.study.tables import read_toml
 
 FREE_DEFAULTS = Free(l0=1.0, phi_a=0.1, eps=0.5, delta=1.0, eps_1=1.0, eps_2=0.1, eps_3=1.0)
-"""Values of parameters that [free] does not give and the goal does not vary (assumed)."""
+"""Values of free parameters that neither [free] gives nor the search varies (assumed)."""
 REQUIRED_FREE = set(Free._fields) - set(Free._field_defaults)
 """Fields of [free] without a default."""
 RUNNABLE = 1e-3
-"""Sampling period that a design must allow unless a goal states another one [s]."""
+"""Sampling period [s] that a design must permit unless [goal] states another one."""
 
 
 def interval_of(value: object) -> tuple[float, float]:
-    """Parse two finite numbers, [low, high].
+    """Parse the list [low, high] of two finite numbers; their order is not checked.
 
     Raises:
         ValueError: The value has another form.
@@ -47,11 +47,11 @@ class DesignFile(NamedTuple):
     Args:
         name: The name in the file, or the file's name.
         bounds: The bounds.
-        parameters: Given, synthesised or optimised.
+        parameters: Parameters of Table 1, as given in the file, synthesised or optimised.
         free: The free parameters of the synthesis; None if the file gives the parameters.
         goal: The goal of the optimisation; None without an optimisation.
-        modulation: How the loop reaches sliding; None if the file does not give it.
-        edges: Optimised parameters at an end of their range, in words.
+        modulation: Numbers of the modulation rho; None if the file does not give them.
+        edges: Sentences on optimised parameters that lie at an end of their range.
     """
 
     name: str
@@ -64,7 +64,7 @@ class DesignFile(NamedTuple):
 
 
 class GoalTable(BaseModel):
-    """``[goal]``: what the free parameters are chosen for, and the ranges in which they are sought."""
+    """``[goal]``: the goal of the optimised design, and the ranges in which the free parameters are sought."""
 
     model_config = STRICT
     criterion: str | None = None
@@ -83,8 +83,8 @@ def load_design(path: str | Path, *, complete: bool = True) -> DesignFile:
         path: A TOML file with ``[bounds]`` and ``[parameters]`` or ``[free]``; ``recipe`` is ``strict`` (default) or
             ``printed`` and belongs to ``[free]``. With ``[goal]``, parameters that ``[free]`` does not fix are
             optimised.
-        complete: Whether ``[free]`` without ``[goal]`` must give every parameter; otherwise the missing ones are
-            optimised for the smallest guaranteed residual at a sampling period of 1 ms, and ``[free]`` may be absent.
+        complete: Whether ``[free]`` without ``[goal]`` must give every parameter. If not, ``[free]`` may be absent or
+            incomplete: missing parameters are optimised by :func:`default_criterion` for a sampling period of 1 ms.
 
     Raises:
         ConfigError: The file is not valid; the message has file, dotted path, rule and value of the first error.
@@ -137,11 +137,11 @@ def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFi
 
 
 def require_design_tables(table: TomlTable, complete: bool) -> None:
-    """Check that every table is known, that the name is text, and that no tables exclude each other.
+    """Require that every table is known, that the name is text, and that no two tables exclude each other.
 
     Args:
         table: Content of the file.
-        complete: Whether the file must define a whole design; otherwise what it leaves out is optimised.
+        complete: Whether the file must have one of ``[parameters]``, ``[free]`` and ``[goal]``.
 
     Raises:
         ConfigError: A name is unknown, the design's name is not text, or tables exclude each other or are missing.
@@ -160,12 +160,12 @@ def require_design_tables(table: TomlTable, complete: bool) -> None:
 
 
 class FoundParameters(NamedTuple):
-    """Free parameters that were optimised.
+    """The free parameters that an optimisation found.
 
     Args:
-        free: The free parameters.
-        goal: The goal.
-        edges: Sentences on parameters at an end of their range.
+        free: All free parameters, fixed and optimised.
+        goal: The goal of the optimisation.
+        edges: Sentences on optimised parameters that lie at an end of their range.
     """
 
     free: Free
@@ -178,7 +178,7 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> FoundParameters:
 
     Args:
         table: Content of the design file.
-        bounds: Its bounds.
+        bounds: The bounds in the file, parsed.
 
     Raises:
         ConfigError: ``[goal]`` or ``[free]`` is not valid, or no design meets the goal.
@@ -205,9 +205,9 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> FoundParameters:
 
 
 def default_criterion(bounds: Bounds) -> str:
-    """Choose the criterion of a goal that states none: the smallest residual, or without inputs the fastest decay.
+    """Choose the criterion of a goal that states none: the smallest residual, or else the fastest decay.
 
-    Without a reference and a disturbance, the residual of every design is 0.
+    If no reference, disturbance or nominal control acts, the residual of every design is 0, and the decay rate decides.
     """
     drives_sliding = derive(bounds, l0=1.0).beta_m > 0.0  # for any l0
     drives_zero_dynamics = bounds.zero_dynamics is not None and bounds.y_m_dot > 0.0
@@ -216,7 +216,7 @@ def default_criterion(bounds: Bounds) -> str:
 
 
 def parsed_numbers(table: Mapping[str, object], kind: type[Numbers], path: str) -> Numbers:
-    """Parse a table of a design file into an instance of its parameter type, all of whose numbers must be plain.
+    """Parse a table of a design file into its parameter type; every number must be plain, without a law.
 
     Args:
         table: Content of the design file.
@@ -235,7 +235,7 @@ def parsed_numbers(table: Mapping[str, object], kind: type[Numbers], path: str) 
 
 
 def design_toml(design_file: DesignFile) -> str:
-    """The text of a design file with the parameters as numbers, and as a comment the table of a study with them."""
+    """The text of a design file with all parameters as numbers; a comment has the table ``[controller]`` of a study."""
     stated_bounds = design_file.bounds._asdict()
     zero_dynamics = stated_bounds.pop("zero_dynamics")
     quoted_name = json.dumps(design_file.name, ensure_ascii=False).replace("\x7f", "\\u007f")  # as TOML requires
@@ -254,9 +254,9 @@ def design_toml(design_file: DesignFile) -> str:
 
 
 def functions_toml(parameters: Parameters) -> str:
-    """Write the table ``[controller]`` of a study that uses the parameters.
+    """The text of the table ``[controller]`` of a study that uses the parameters.
 
-    k_o = 1 is arbitrary, since only k_o tau_av matters.
+    k_o = 1 is an arbitrary choice, since only the product k_o tau_av matters.
     """
     lines = ["[controller]", 'kind = "dssc"', f"l0 = {parameters.l0!r}"]
     lines += ["[controller.functions]", 'kind = "vgsta"', "k_o = 1.0"]

@@ -1,27 +1,26 @@
-"""First gains for a plant of one's own, from a bandwidth and the sample time, in the plant's units.
+"""First gains of a controller for a study's plant, from a bandwidth and the sample time, in the plant's units.
 
-The plant is linearised at its start, with the command that keeps it there if there is one, and sampled exactly with the
-command held, behind its linear actuators. All rules then work with numbers of that system alone,
-whatever its units:
+The plant is linearised at its start, with the command that holds it there if there is one. Plant and linear actuators
+are sampled exactly, with a held command. The rules use numbers of these linear systems alone, whatever their units:
 
-* PID: phase margin of 60 degrees at the bandwidth, or 45 where one lead element gives no more. Integral action at 0.1,
-  0.2 or 0.4 times the bandwidth. Of a plant with less lag than 84 degrees there, the integral acts higher, for a margin
-  of 90 degrees: a first-order lag is cancelled.
-* LQG, whose model is the linear plant, or its linearisation, which its table then states: y weighted with 1; the weight
-  of u is that at which the regulator's loop crosses 1 at the bandwidth. The noise of the measured signals has the
-  proportions in which a disturbance at the command moves them (Bryson's rule), and the size at which the filter's loop
-  crosses 1 at four times the bandwidth; integral action as for PID.
-* State feedback: the regulator of LQG, with all states measured, or y and y' of a plant of order two.
-* State feedback and LQG act on deviations from the point at which a nonlinear plant starts and rests.
-* These have no integral action where the plant has a zero at rest.
-* DSSC: its special case SSC, with constants. In sliding it synthesises a PI law of sigma, whose loop has a double pole
-  at the bandwidth; e follows at a third of that.
+* PID: the phase margin at the bandwidth is 60 degrees, or at least 45 degrees where one lead element gives no more. The
+  integral acts below 0.1, 0.2 or 0.4 times the bandwidth. If the plant lags by less than 84 degrees at the bandwidth,
+  the integral acts up to a higher frequency, which gives a margin of 90 degrees and cancels a first-order lag.
+* LQG: the controller's model is the linear plant, or the linearisation of a nonlinear one, which the table states. The
+  weight of y is 1. The weight of u puts the crossover of the regulator's loop at the bandwidth. The noise of the
+  measured signals is in proportion to how much a disturbance at the command moves each of them (Bryson's rule). The
+  size of the noise puts the crossover of the filter's loop at four times the bandwidth.
+* State feedback: the regulator of LQG. It takes measured signals that show all states, or y and y' of a plant of order
+  two.
+* LQG and state feedback act on deviations from the point at which a nonlinear plant starts and rests. Their integral
+  acts below 0.1, 0.2 or 0.4 times the bandwidth. Like PID, they have no integral if the plant has a zero at rest.
+* SSC, the special case of DSSC with constants: in sliding it synthesises a PI law of sigma, whose loop has a double
+  pole at the bandwidth. The error e follows sigma with the pole l0, a third of the bandwidth.
 
-Regulator, filter and SSC are rules for the plant alone. So a design counts only if its sampled closed loop is stable
-with the linear actuators. Of those with a peak of abs(S) of at most 2, the one whose output settles fastest after a
-step of a disturbance at the command is taken: over the integral's frequencies, and without a stated bandwidth over
-bandwidths, too. A bandwidth just above a resonance leaves little gain below it, and so a slow integral. These gains
-begin a study: margins, draws and tuning follow.
+LQG, state feedback and SSC are designed without the actuators. So a design counts only if its sampled closed loop with
+the linear actuators is stable. Among designs with a peak of abs(S) of at most 2, the best one settles fastest after a
+step of a disturbance at the command. The search compares the frequencies of the integral and, if no bandwidth is
+stated, several bandwidths: just above a resonance, little gain remains below it, and the integral is slow.
 
 References:
     K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), chapters 11 and 12.
@@ -52,33 +51,33 @@ from dssc_jax.study.laws import nominal_params
 from dssc_jax.study.study import Study
 
 INTEGRAL_RATIOS = (SLOWEST, 0.2, 0.4)
-"""Frequencies below which the integral acts, in bandwidths, that are tried."""
+"""Frequencies below which the integral may act, relative to the bandwidth; a design tries each of them."""
 SLOW_ERROR = 3.0
 """Ratio of the bandwidth to the error pole l0 of SSC."""
 MOST_SHARE = 0.2
-"""Largest bandwidth, in pi/T_s."""
+"""Largest bandwidth, relative to the Nyquist frequency pi/T_s."""
 FIRST_SHARE = 0.05
-"""First bandwidth that is tried where none is stated, in pi/T_s."""
+"""First bandwidth that is tried if none is stated, relative to the Nyquist frequency pi/T_s."""
 SMALL_PRODUCT = 1e-9
-"""Share of the sum of magnitudes below which c b counts as 0, so that the plant has relative degree two."""
+"""Largest |c b|/(|c| |b|), with magnitudes entry by entry, that counts as c b = 0: relative degree two."""
 DIGITS = 4
 """Significant digits of a gain."""
 STATED_DIGITS = 12
-"""Significant digits of the plant's own numbers in a controller's table."""
+"""Significant digits of the entries :data:`STATED`."""
 STATED = ("resting_output", "resting_command", "resting_signals", "model")
-"""Entries of a controller that are the plant's own numbers."""
+"""Entries of a controller's table that repeat numbers of the plant, rather than gains."""
 NOT_OF_DEVIATIONS = ("resting_output", "resting_command", "resting_signals", "low", "high")
-"""Entries for the operating point and the limits, without which the law acts linearly on deviations."""
+"""Entries for the operating point and the limits; without them the law is linear in deviations from the point."""
 HALVINGS = 14
 """Most bandwidths that are tried, each half of the one before."""
 FURTHER = 3
-"""Halvings of the bandwidth after the last better loop."""
+"""Halvings of the bandwidth that are tried after the best design so far."""
 NEARBY = tuple(2.0 ** (third / 3.0) for third in (2, 1, -1, -2))
-"""Bandwidths that are tried around the best of the halvings, relative to it."""
+"""Bandwidths that are tried around the best one of the halvings, as multiples of that one."""
 FASTER = 1.05
-"""Ratio of settling times from which on a design is better."""
+"""Least ratio of two settling times at which the faster design counts as better."""
 MOST_PEAK = 2.0
-"""Largest good peak of abs(S), where no bandwidth is stated."""
+"""Largest peak of abs(S) that counts as good when two designs are compared."""
 
 
 class FirstController(StrEnum):
@@ -91,15 +90,15 @@ class FirstController(StrEnum):
 
 
 class FirstGains(NamedTuple):
-    """First gains of a controller, with properties of the sampled closed loop that they make.
+    """First gains of a controller, with properties of the sampled closed loop that they give.
 
     Args:
-        table: ``[controller]`` of a study.
+        table: The gains, as the table ``[controller]`` of a study.
         bandwidth: The frequency for which the gains are made [rad/s].
-        radius: Largest modulus of the poles of the sampled closed loop, below 1; of SSC while it slides.
-        sensitivity_peak: Largest abs(S) of the loop, broken at the command.
-        settling: Time after which the output stays within 2 % of the largest deviation, after a step of a disturbance
-            at the command [s].
+        radius: Largest modulus of the poles of the sampled closed loop, below 1 if stable; of SSC in sliding.
+        sensitivity_peak: Largest abs(S), with S for the loop broken at the command; infinite for an unstable loop.
+        settling: Settling time of the output after a step of a disturbance at the command [s], within 2 % of the
+            largest distance from the final value.
         linear_kinds: Kinds of the actuators in the loop.
         left_out: Kinds of the parts that the loop lacks: actuators that are not linear, sensors and differentiators.
         loop: The sampled closed loop.
@@ -135,12 +134,11 @@ def first_gains(
         study: The study; its controller is not used.
         kind: ``pid``, ``lqg``, ``state_feedback`` or ``ssc``.
         bandwidth: Frequency at which the loop gain is to cross 1 [rad/s]; None: it is sought.
-        limit: Largest magnitude of the command, in its unit; ``ssc`` needs it, the others respect it; None: there is
-            no limit.
-        at: Output at which a nonlinear plant rests where it is linearised; None: its start.
+        limit: Largest magnitude of the command, in its unit; None: there is no limit. ``ssc`` requires a limit.
+        at: Output of the equilibrium at which a nonlinear plant is linearised; None: it is linearised at its start.
 
     Raises:
-        ConfigError: The plant has several channels, or there are no such gains for it.
+        ConfigError: An argument is out of range, the plant has several channels, or it has no gains of this kind.
     """
     sample_time = study.loop.sample_time
     nyquist = math.pi / sample_time  # [rad/s]
@@ -176,7 +174,7 @@ def require_request(kind: str, bandwidth: float | None, limit: float | None, nyq
         nyquist: pi/T_s [rad/s].
 
     Raises:
-        ConfigError: One of them is not.
+        ConfigError: The kind is unknown, or a number is out of its range.
     """
     if kind not in list(FirstController):
         raise ConfigError("`kind`", f"must be one of {', '.join(FirstController)}, got '{kind}'")
@@ -188,7 +186,7 @@ def require_request(kind: str, bandwidth: float | None, limit: float | None, nyq
 
 
 def design_at_bandwidth(problem: DesignProblem, kind: str, bandwidth: float) -> FirstGains:
-    """The design of a kind at a bandwidth with the best integral action; its loop need not be stable.
+    """The best design of one kind at one bandwidth over :data:`INTEGRAL_RATIOS`; its loop need not be stable.
 
     Args:
         problem: The plant, its actuators and the limit of the command.
@@ -215,7 +213,8 @@ def design_at_bandwidth(problem: DesignProblem, kind: str, bandwidth: float) -> 
 def is_better(candidate: FirstGains, best: FirstGains) -> bool:
     """Whether a candidate is better than the best design so far.
 
-    If both peaks of abs(S) are good, the better design settles faster; otherwise it has the smaller peak.
+    If both peaks of abs(S) are at most :data:`MOST_PEAK`, the better design settles faster, by the factor
+    :data:`FASTER`. Otherwise it has the smaller peak.
     """
     are_peaks_good = candidate.sensitivity_peak <= MOST_PEAK and best.sensitivity_peak <= MOST_PEAK
     if are_peaks_good:
@@ -224,16 +223,16 @@ def is_better(candidate: FirstGains, best: FirstGains) -> bool:
 
 
 def design_with_ratio(problem: DesignProblem, kind: str, bandwidth: float, ratio: float) -> FirstGains:
-    """The design of a kind at a bandwidth, with the properties of its loop, which need not be stable.
+    """Design a controller of one kind, and compute the properties of its loop, which need not be stable.
 
     Args:
         problem: The plant, its actuators and the limit of the command.
         kind: Kind of the controller.
         bandwidth: The bandwidth [rad/s].
-        ratio: Frequency below which the integral acts, in bandwidths.
+        ratio: Frequency below which the integral acts, relative to the bandwidth.
 
     Raises:
-        ConfigError: The kind has no such gains.
+        ConfigError: No gains of this kind suit the plant at this bandwidth.
     """
     rules = {
         FirstController.PID: pid,
@@ -269,7 +268,8 @@ def design_with_ratio(problem: DesignProblem, kind: str, bandwidth: float, ratio
 def fastest_design(problem: DesignProblem, kind: str, start: float) -> FirstGains:
     """The best design at a start bandwidth, its half, and so on, and then at bandwidths around the best of these.
 
-    The halving ends when :data:`FURTHER` bandwidths in a row are no better.
+    The halving ends :data:`FURTHER` bandwidths after the last better design with a good peak of abs(S), or after
+    :data:`HALVINGS` bandwidths.
 
     Args:
         problem: The plant, its actuators and the limit of the command.
@@ -309,12 +309,12 @@ def fastest_design(problem: DesignProblem, kind: str, start: float) -> FirstGain
 
 
 def best_nearby(problem: DesignProblem, kind: str, best: FirstGains, highest: float) -> FirstGains:
-    """The best of a design and of the designs at some bandwidths around its own.
+    """The best among a design and the designs at bandwidths around it, :data:`NEARBY` times its own.
 
     Args:
         problem: The plant, its actuators and the limit of the command.
         kind: Kind of the controller.
-        best: The design.
+        best: The design to begin with.
         highest: Highest bandwidth that is tried [rad/s].
     """
     middle = best.bandwidth
@@ -331,25 +331,25 @@ def best_nearby(problem: DesignProblem, kind: str, best: FirstGains, highest: fl
 
 
 def setting_for(study: Study) -> LoopSetting:
-    """The setting to which a controller of the study is fitted."""
+    """Sample time, measured signals and nominal plant of a study, to which a controller's gains are fitted."""
     loop = study.loop
     with arithmetic():
         return setting_of(loop.plant, nominal_params(study.template).plant, loop.sample_time, loop.measures)
 
 
 def ssc(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
-    """The table of SSC, the special case of DSSC with constants, for a bandwidth.
+    """The table ``[controller]`` of SSC, the special case of DSSC with constants, for a bandwidth.
 
-    In sliding it synthesises a PI law of sigma with the gains K_P = 1/(k_o tau_av) and K_I = K_P/tau_m. The loop
+    In sliding SSC synthesises a PI law of sigma with the gains K_P = 1/(k_o tau_av) and K_I = K_P/tau_m. The loop
     sigma'' + k_p K_P sigma' + k_p K_I sigma = 0 then has a double pole at the bandwidth.
 
     Args:
         problem: The plant and the limit of the command.
         omega: The bandwidth [rad/s].
-        ratio: Not used, since SSC has one integral action; the function has the arguments of :func:`pid`.
+        ratio: Not used: the bandwidth alone determines the integral action of SSC. All rules take this argument.
 
     Raises:
-        ConfigError: The plant has another relative degree than two or a negative gain, or the command has no limit.
+        ConfigError: The relative degree is not two, the high-frequency gain is not positive, or there is no limit.
     """
     del ratio
     study = problem.study

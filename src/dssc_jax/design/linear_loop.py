@@ -16,24 +16,24 @@ from dssc_jax.design.linear_plant import LinearPlant
 from dssc_jax.study.components import Component
 
 GRID = 600
-"""Frequencies of the grid on which the peak of the sensitivity is sought."""
+"""Number of frequencies in the grid on which the peak of the sensitivity is sought."""
 DECADES = 6.0
-"""Decades of this grid, below the Nyquist frequency."""
+"""Decades below the Nyquist frequency that the grid of frequencies covers."""
 SETTLED = 0.02
 """Share of the largest distance from its final value within which an output counts as settled."""
 FADED = 7.0
-"""Time constants of the slowest pole over which an output is followed."""
+"""Duration over which an output is followed, in time constants of the slowest pole."""
 INSTANTS = 2000
-"""Instants at which an output is computed."""
+"""Number of instants at which an output is computed."""
 
 
 class ClosedLoop(NamedTuple):
     """The sampled closed loop x(k+1) = A x + b w, u = c x, with a disturbance w added to the command u.
 
     Args:
-        a: A, shape (n, n).
-        b: Shape (n,).
-        c: Shape (n,).
+        a: A, shape (n, n); the state x is that of the plant, then that of the controller.
+        b: Column of the disturbance at the command, shape (n,).
+        c: Row of the command, shape (n,).
     """
 
     a: np.ndarray
@@ -42,14 +42,14 @@ class ClosedLoop(NamedTuple):
 
     @property
     def radius(self) -> float:
-        """Largest modulus of its poles."""
+        """Largest modulus of the loop's poles; the loop is stable if it is below 1."""
         return float(np.max(np.abs(np.linalg.eigvals(self.a))))
 
     @property
     def sensitivity_peak(self) -> float:
-        """Largest |S| up to the Nyquist frequency, with the sensitivity S = 1 + c (z - A)^-1 b of the command.
+        """Largest |S| up to the Nyquist frequency, with the sensitivity S = 1 + c (z - A)^-1 b at the command.
 
-        It is sought on a logarithmic grid of frequencies and at the frequencies of the poles, where S may have peaks.
+        The search covers a logarithmic grid of frequencies, and the frequencies of the poles, where S may have peaks.
         """
         grid = np.geomspace(np.pi * 10.0**-DECADES, np.pi, GRID)  # angles of z on the unit circle, omega T_s
         pole_angles = np.abs(np.angle(np.linalg.eigvals(self.a)))
@@ -60,9 +60,10 @@ class ClosedLoop(NamedTuple):
         return float(np.max(np.abs(1.0 + state_response @ self.c)))
 
     def settling(self, row: np.ndarray) -> float:
-        """Number of samples after which an output stays near its final value, after a step is added to the command.
+        """Settling time of an output after a step of a disturbance at the command, in samples.
 
-        Near means within 2 % of the largest distance from the final value. Infinite if the loop is unstable.
+        From this time on, the output stays within 2 % of its largest distance from the final value. The time is
+        infinite if the loop is unstable.
 
         Args:
             row: Row from the state to the output, shape (n,).
@@ -86,10 +87,10 @@ class ClosedLoop(NamedTuple):
 
 
 def closed_loop(plant: LinearPlant, controller: Component) -> ClosedLoop:
-    """The sampled loop of a linear plant and a controller, which is linearised at its second sample at rest.
+    """Close the sampled loop of a linear plant and a controller, which is linearised at its second sample at rest.
 
-    States of the controller that do not move or have no effect are left out: an integral without k_i would be a pole
-    at 1.
+    States of the controller that do not move, or have no effect on the command, are left out. Otherwise an integral
+    without k_i would add a pole at 1.
 
     Args:
         plant: The plant behind its linear actuators, sampled.
@@ -121,7 +122,7 @@ class LinearController(NamedTuple):
 
 
 def linearised_controller(controller: Component, outputs_count: int, sample_time: float) -> LinearController:
-    """A controller, linearised at its second sample at rest, without states that do not move or have no effect.
+    """Linearise a controller at its second sample at rest, and drop states that do not move or have no effect.
 
     Args:
         controller: The controller, parsed, with gains in plain numbers.
@@ -134,7 +135,7 @@ def linearised_controller(controller: Component, outputs_count: int, sample_time
     with arithmetic():
 
         def sample(state: Any, outputs: jax.Array) -> tuple[Any, Scalar]:
-            """Next state and command, for a reference at rest."""
+            """Next state and command of the controller, for a reference at rest and these outputs of the plant."""
             measurement = Measurement(outputs[0], outputs[1], tuple(outputs[2:]))
             next_state, command, _ = model.step(gains, state, measurement, ReferencePoint(0.0, 0.0, 0.0), dt)
             return next_state, command.total
@@ -145,7 +146,7 @@ def linearised_controller(controller: Component, outputs_count: int, sample_time
         second_vector, unravel = ravel_pytree(second_state)
 
         def flat_sample(state: jax.Array, outputs: jax.Array) -> jax.Array:
-            """Next state, then the command, as one vector."""
+            """Next state of the controller, then the command, as one vector of shape (states + 1,)."""
             next_state, command = sample(unravel(state), outputs)
             next_vector, _ = ravel_pytree(next_state)
             return jnp.append(next_vector, command)
@@ -160,7 +161,7 @@ def linearised_controller(controller: Component, outputs_count: int, sample_time
 
 
 def without_idle_states(controller: LinearController) -> LinearController:
-    """A controller without the states that do not move, and without those that have no effect on the command."""
+    """Drop the states of a controller that no output moves, and those that have no effect on the command."""
     a, b, c, d = controller
     influences = a != 0.0  # of each state (column) on each next state (row)
     is_driven = np.any(b != 0.0, axis=1)

@@ -1,9 +1,9 @@
 """A study's plant at its start, with the linear actuators before it, sampled exactly.
 
-The plant is linearised at its start. The actuators that declare themselves linear (lags, transfer functions, delays)
-stay before it; the others count as a gain of 1, and are named. With the command held, the whole is one discrete system,
-x(k+1) = A x(k) + B u(k). It follows from one matrix exponential of the plant and the actuators in continuous time, and
-from the derivative of what the others do at a sample.
+The plant is linearised at its start. Actuators that declare themselves linear (lags, transfer functions, delays) act
+before it. All other actuators count as a gain of 1, and results name them. With a held command, plant and linear
+actuators are one discrete system x(k+1) = A x(k) + B u(k). One matrix exponential gives its part in continuous time.
+Derivatives of the actuators' functions give what the actuators do at a sample.
 """
 
 from typing import NamedTuple
@@ -33,7 +33,7 @@ class LinearPlant(NamedTuple):
     Args:
         a: A, shape (n, n).
         b: B, shape (n,).
-        c: Row of y, shape (n,).
+        c: Row of y, shape (n,): y = c x.
         rate: Row of y', shape (n,).
         signals: Rows of the measured signals, shape (m, n).
         sample_time: Sample time T_s [s].
@@ -47,19 +47,19 @@ class LinearPlant(NamedTuple):
     sample_time: float
 
     def response(self, omega: float) -> complex:
-        """Frequency response from the held command to the sampled output, at an angular frequency [rad/s]."""
+        """Frequency response from the held command u to the sampled output y, at an angular frequency [rad/s]."""
         z = np.exp(1j * omega * self.sample_time)
         return complex(self.c @ np.linalg.solve(z * np.eye(len(self.a)) - self.a, self.b))
 
 
 class LinearActuators(NamedTuple):
-    """The actuators of a study that declare themselves linear, in series; they belong to the linearised loop.
+    """The actuators of a study that declare themselves linear, in series, as a part of the linearised loop.
 
     Args:
-        model: All of them as one actuator; None: there are none.
+        model: All linear actuators as one actuator; None: there are none.
         params: Parameters of the model, without laws.
-        linear_kinds: Kinds of these actuators.
-        left_out: Kinds of the parts that the linearised loop lacks: all other actuators, sensors, a differentiator.
+        linear_kinds: Kinds of the linear actuators, from the command to the plant.
+        left_out: Kinds of the parts that the linearised loop leaves out: other actuators, sensors, a differentiator.
     """
 
     model: Unmodelled | None
@@ -69,7 +69,7 @@ class LinearActuators(NamedTuple):
 
 
 NO_ACTUATORS = LinearActuators(model=None, params=(), linear_kinds=(), left_out=())
-"""For a plant without actuators, which the command reaches unchanged."""
+"""The linear actuators of a plant without any: the command reaches the plant unchanged."""
 
 
 class DesignProblem(NamedTuple):
@@ -93,9 +93,9 @@ class DesignProblem(NamedTuple):
 
 
 def linear_actuators(study: Study) -> LinearActuators:
-    """The linear actuators of a study of one channel, in series as one actuator, and the kinds of the parts left out.
+    """The linear actuators of a study with one channel, in series as one actuator, and the kinds left out.
 
-    Left out are sensors, a differentiator, and actuators for which superposition does not hold.
+    Sensors, a differentiator, and actuators for which superposition does not hold are left out.
     """
     elements = []
     params_of_elements = []
@@ -133,9 +133,10 @@ def measuring_kinds(study: Study) -> list[str]:
 def sampled_plant(plant: LinearisedPlant, actuators: LinearActuators, sample_time: float) -> LinearPlant:
     """The plant behind the linear actuators, sampled with a held command u.
 
-    The state is (x, z, v): state x of the plant, state z of the actuators, and the drive v by which the actuators acted
-    over the last sample. At a sample, u changes z and gives v; until the next sample, the actuators' system driven by
-    the constant v acts on the plant. A signal with a feedthrough shows what reached the plant just before the sample.
+    The state is (x, z, v): the state x of the plant, the state z of the actuators, and their drive v since the last
+    sample. At a sample, the command u changes z and sets v. Until the next sample, the constant v drives the actuators'
+    continuous system, whose output acts on the plant. A signal with a feedthrough contains that output just before the
+    sample.
 
     Args:
         plant: The plant in continuous time.
@@ -168,7 +169,7 @@ def sampled_plant(plant: LinearisedPlant, actuators: LinearActuators, sample_tim
     plant_input_row = np.concatenate([np.zeros(n), system.c, [system.d]])  # what reaches the plant, from (x, z, v)
 
     def padded(row: np.ndarray) -> np.ndarray:
-        """A row that acts on x, as one that acts on (x, z, v)."""
+        """Extend a row that acts on x by zeros, so that it acts on (x, z, v)."""
         return np.append(row, np.zeros(order + 1))
 
     signals = [padded(row) + d * plant_input_row for row, d in zip(plant.signals, plant.feedthrough, strict=True)]
@@ -192,14 +193,14 @@ class SystemArrays(NamedTuple):
 
 
 class ActuatorsAtSample(NamedTuple):
-    """Linear actuators at a sample, z <- S z + s u and v = V z + w u, and the system that v drives until the next one.
+    """Linear actuators: z <- S z + s u and then v = V z + w u at a sample, and a system that v drives until the next.
 
     Args:
-        state: S, shape (n, n).
+        state: S, shape (n, n), by which the state z after the sample depends on z before the sample.
         state_input: s, shape (n,).
-        output: V, shape (n,), of the state after the sample.
+        output: V, shape (n,); it multiplies the state after the sample.
         output_input: w.
-        system: From v to what reaches the plant; its state is z.
+        system: Continuous system with the state z, from v to what reaches the plant.
     """
 
     state: np.ndarray
@@ -210,9 +211,10 @@ class ActuatorsAtSample(NamedTuple):
 
 
 def actuators_at_sample(actuators: LinearActuators, sample_time: float) -> ActuatorsAtSample:
-    """The matrices of linear actuators at a sample, and their system between samples.
+    """The matrices of linear actuators at a sample, and their continuous system between samples.
 
-    The matrices are derivatives of the actuators' functions, which are the same at every state.
+    The matrices are derivatives of the actuators' functions; since the actuators are linear, the derivatives are the
+    same at every state.
     """
     model = actuators.model
     params = actuators.params
@@ -252,8 +254,8 @@ def as_arrays(system: LinearSystem | None, order: int) -> SystemArrays:
     """A linear system as arrays of NumPy.
 
     Args:
-        system: The system; None: a gain of 1, beside states that stand still.
-        order: Number of these states.
+        system: The system; None: a gain of 1 that does not use the states, which stand still.
+        order: Number of states if the system is None; otherwise not used.
     """
     if system is None:
         return SystemArrays(np.zeros((order, order)), np.zeros(order), np.zeros(order), 1.0)

@@ -23,20 +23,20 @@ from dssc_jax.study.study import Study
 NEWTON_STEPS = 20
 """Most steps of Newton's method."""
 STEPS_TO_OUTPUT = 21
-"""Equilibria from the output at the start to a stated output, both included."""
+"""Number of outputs, from the one at the start to the stated one, at which an equilibrium is computed."""
 AT_REST = 1e-9
-"""Share of a rate of change, or of an unknown, within which a plant counts as resting."""
+"""Relative tolerance of a rate of change, or of an unknown, at which a plant counts as resting."""
 ROUNDING = 1e-12
-"""Share of the terms of a rate of change that rounding may leave where they cancel."""
+"""Rounding error of a rate of change, relative to the magnitudes of its terms, which may cancel."""
 
 
 class Resting(NamedTuple):
     """An operating point at which a nonlinear plant rests.
 
     Args:
-        output: Output y_0.
-        command: Command u_0, which holds the plant there.
-        signals: Value of each measured signal there.
+        output: Output y_0 at the point.
+        command: Command u_0, which holds the plant at the point.
+        signals: Value of each measured signal at the point.
     """
 
     output: float
@@ -45,7 +45,7 @@ class Resting(NamedTuple):
 
 
 class LinearisedPlant(NamedTuple):
-    """A plant of one channel, linearised at a point: x' = A x + b u + E w, y = c x, y' = r x + v u, s = C x + D u.
+    """A plant with one channel, linearised at a point: x' = A x + b u + E w, y = c x, y' = r x + v u, s = C x + D u.
 
     All signals are deviations from the point: state x, command u, disturbances w, output y, measured signals s.
 
@@ -55,11 +55,11 @@ class LinearisedPlant(NamedTuple):
         c: Row of y, shape (n,).
         rate: r, row of y', shape (n,).
         rate_through: v, which is not 0 for a plant of relative degree one.
-        signals: C, a row for each measured signal, shape (m, n).
-        feedthrough: D, shape (m,).
-        disturbances: E, shape (n, q): first the column of the disturbance at the command, then one of each named input.
-            If the plant does not use the disturbance at the command, its column is the command's.
-        inputs: Names of these columns.
+        signals: C, with a row for each measured signal, shape (m, n).
+        feedthrough: D, the effect of the command on each measured signal, shape (m,).
+        disturbances: E, shape (n, q): the column of the disturbance at the command, then one for each named input. If
+            the plant does not use the disturbance at the command, the first column is b.
+        inputs: Names of the columns of E.
         resting: The operating point; None for a linear plant, which rests at 0, and for a start at which no command
             holds the plant.
         is_held: Whether the plant is linear, or a command holds it at this point.
@@ -96,11 +96,12 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
 
     Args:
         study: The study.
-        at: Output at which a nonlinear plant rests where it is linearised; None: the plant is linearised at its start,
-            with the command that holds it there, or 0 if no command does.
+        at: Output of the equilibrium at which a nonlinear plant is linearised. None: the plant is linearised at its
+            start, with the command that holds it there, or with the command 0 if no command does.
 
     Raises:
-        ConfigError: The plant has several channels, or no derivative; or no equilibrium with this output is found.
+        ConfigError: The plant has several channels, or keeps its state outside of JAX; ``at`` is stated for a linear
+            plant; or no equilibrium with this output is found.
     """
     require_one_command(study)
     loop = study.loop
@@ -146,7 +147,7 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
 
 
 def require_one_command(study: Study) -> None:
-    """Require a plant with one command and a derivative.
+    """Require a plant with one command whose functions JAX can differentiate.
 
     Raises:
         ConfigError: The plant has several channels, or keeps its state outside of JAX.
@@ -161,13 +162,13 @@ def require_one_command(study: Study) -> None:
 
 
 class PlantFunctions(NamedTuple):
-    """A plant as functions of its state x as a vector and of its command u.
+    """A plant as functions of its state as a vector x, and of its command u.
 
     Args:
         start: x at the start, shape (n,).
-        quiet: Disturbances of 0, at the command and at each named input.
+        quiet: Zeros in place of the disturbances, at the command and at each named input, shape (1 + inputs,).
         slope: (x, u, disturbances) -> x', shape (n,); the disturbances are ``quiet`` unless they are stated.
-        outputs: (x, u) -> the output y, then y' and the measured signals.
+        outputs: (x, u) -> the output y, then y' and the measured signals, shape (2 + m,).
     """
 
     start: jax.Array
@@ -177,7 +178,7 @@ class PlantFunctions(NamedTuple):
 
 
 def plant_functions(loop: Loop, params: Params) -> PlantFunctions:
-    """The functions of a loop's plant.
+    """Make functions of a vector from the functions of a loop's plant, without wind.
 
     Args:
         loop: The loop, with one command.
@@ -187,7 +188,7 @@ def plant_functions(loop: Loop, params: Params) -> PlantFunctions:
     quiet = jnp.zeros(1 + len(quiet_inputs(loop.plant, params)))
 
     def slope(x: jax.Array, u: Scalar, disturbances: jax.Array = quiet) -> jax.Array:
-        """Rate of change of the state, for a disturbance at the command and at each named input."""
+        """Rate of change x' for the disturbance at the command, then those at the named inputs."""
         drive = PlantInput(u, disturbance=disturbances[0], wind=None, inputs=tuple(disturbances[1:]))
         rate_of_change, _ = ravel_pytree(loop.plant.derivative(params, unravel(x), drive, 0.0))
         return rate_of_change
@@ -208,11 +209,13 @@ def plant_functions(loop: Loop, params: Params) -> PlantFunctions:
 
 
 def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float | None:
-    """The command with which a state stays where it is, by Newton's method; None if there is no such command.
+    """The command that holds a plant at a state, found by Newton's method; None if no command does.
+
+    Each step reduces the rate of change in the sense of least squares, since one command acts on several states.
 
     Args:
         slope: ``(x, u) -> x'``.
-        start: The state x.
+        start: The state x, shape (n,).
     """
     rate_of = jax.jit(lambda u: slope(start, u))  # (u) -> x'
     effect_of = jax.jit(jax.jacfwd(rate_of))  # (u) -> dx'/du
@@ -240,14 +243,15 @@ def equilibrium(
     start: jax.Array,
     at: float,
 ) -> tuple[jax.Array, float]:
-    """The state and the command with which a plant rests at a stated output.
+    """The state, shape (n,), and the command with which a plant rests at a stated output.
 
-    Newton's method follows the equilibria from the output at the start to the stated one.
+    The output moves in small steps from its value at the start to the stated one. At each step, Newton's method finds
+    the equilibrium from the one before.
 
     Args:
         slope: ``(x, u) -> x'``.
         output: ``(x, u) -> y``.
-        start: The state x at the start.
+        start: The state x at the start, shape (n,).
         at: The stated output.
 
     Raises:
@@ -256,7 +260,7 @@ def equilibrium(
 
     @jax.jit
     def excess(point: jax.Array, y: Scalar) -> jax.Array:
-        """Rate of change x' and deviation of the output from y, which both vanish at the equilibrium (x, u)."""
+        """Rate of change x', then the deviation of the output from y; both vanish at an equilibrium (x, u)."""
         x = point[:-1]
         u = point[-1]
         return jnp.append(slope(x, u), output(x, u) - y)

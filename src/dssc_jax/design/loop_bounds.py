@@ -1,7 +1,7 @@
 """The bounds (A0)-(A4) of a study's loop, and its parameters of Table 1.
 
-The bounds follow from the parts of the loop: the intervals of k_p and a_p from their laws; the constants of the
-disturbance, of the reference and of the nominal control from the kinds and numbers of these parts.
+The bounds follow from the parts of the loop. The intervals of k_p and a_p follow from their laws. The constants of
+disturbance, reference and nominal control follow from the kinds and the numbers of these parts.
 """
 
 import math
@@ -45,7 +45,7 @@ class PlantBounds(NamedTuple):
         k_max: Largest high-frequency gain k_p [1/s].
         a_max: Bound of |a_p| [1/s].
         zero_dynamics: The zero dynamics; None: there are none.
-        stiffness: Bound of the stiffness' magnitude [1/s^2].
+        stiffness: Bound of the magnitude of the stiffness, the factor of -y in y'' [1/s^2].
     """
 
     k_min: Numeric
@@ -56,11 +56,13 @@ class PlantBounds(NamedTuple):
 
 
 def design_of(study: Study) -> tuple[Parameters, Bounds]:
-    """The parameters of Table 1 and the bounds of a study's loop, for all draws at once, at each point of its sweep.
+    """The parameters of Table 1 and the bounds of a study's loop.
+
+    The bounds hold for all draws. In a sweep they are arrays over the points, with shapes that broadcast.
 
     Raises:
-        NotCovered: The plant is not (5)-(8), the controller is not DSSC with Table 1's functions, or a number has no
-            bound.
+        NotCovered: The plant is not of the class (5)-(8), the controller is not DSSC with the functions of Table 1, the
+            controller's own numbers are uncertain or its sign is smoothed, or a number has no bound.
     """
     ends = ends_of(study)
     if study.loop.plant is not NORMAL_FORM:  # raises what the plant lacks, before what the controller lacks
@@ -81,11 +83,11 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
 def bounds_of(loop: Loop, ends: Ends, p: Parameters) -> Bounds:
     """The bounds (A0)-(A4) of a loop of the class (5)-(8).
 
-    The plant's stiffness counts as the disturbance -stiffness y/k_p, which adds to k_d4.
+    The term -stiffness y of y'' counts as the disturbance -stiffness y/k_p at the command, which adds to k_d4.
 
     Args:
         loop: The loop.
-        ends: Its parameters at the ends of all laws.
+        ends: Parameters of the loop at both ends of all laws.
         p: Parameters of Table 1, from which the bounds of the nominal control follow.
 
     Raises:
@@ -108,10 +110,12 @@ def bounds_of(loop: Loop, ends: Ends, p: Parameters) -> Bounds:
 
 
 def require_no_inputs(loop: Loop) -> None:
-    """Require that no disturbance acts at an input that the plant names: the theorem's acts where the command does.
+    """Require that no disturbance acts at a named input of the plant.
+
+    The disturbance of the theorem acts where the command acts.
 
     Raises:
-        NotCovered: A disturbance does.
+        NotCovered: A disturbance acts at a named input.
     """
     for name, model in zip(loop.input_names, loop.inputs, strict=True):
         if model is not NO_DISTURBANCE:
@@ -119,14 +123,15 @@ def require_no_inputs(loop: Loop) -> None:
 
 
 def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:
-    """The bounds of a plant in normal form, or of a linear plant that has this form.
+    """The bounds of a plant in normal form, or of a linear plant that can be brought into this form.
 
     Args:
         model: Model of the plant.
-        ends: Its parameters at both ends of their laws.
+        ends: Parameters of the plant at both ends of their laws.
 
     Raises:
-        NotCovered: The plant is neither, or it is uncertain in a way that has no such bounds.
+        NotCovered: The plant has no normal form, its disturbance does not act where the command acts, or it is
+            uncertain in a way for which the bounds are not known.
     """
     low, high = ends
     if model is NORMAL_FORM:
@@ -145,7 +150,7 @@ def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:
 
 
 def bounds_of_normal_form(form: NormalForm) -> PlantBounds:
-    """The bounds of a linear plant without uncertain numbers.
+    """The bounds of a linear plant without uncertain numbers, from its normal form.
 
     Raises:
         NotCovered: The plant has no normal form (5)-(8).
@@ -157,14 +162,14 @@ def bounds_of_normal_form(form: NormalForm) -> PlantBounds:
 
 
 def bounds_of_second_order(low: Any, high: Any) -> PlantBounds:
-    """The bounds of the plants n_0/(d_0 s^2 + d_1 s + d_2), that is y'' = -(d_1 y' + d_2 y)/d_0 + (n_0/d_0) u.
+    """The bounds of uncertain plants n_0/(d_0 s^2 + d_1 s + d_2), that is y'' = -(d_1 y' + d_2 y)/d_0 + (n_0/d_0) u.
 
     Args:
         low: Parameters of the plant at the lower ends of their laws.
         high: Parameters at the upper ends.
 
     Raises:
-        NotCovered: A leading coefficient may be zero or negative.
+        NotCovered: n_0 or d_0 may be zero or negative.
     """
     lead_low = low.denominator[0]
     lead_high = high.denominator[0]
@@ -181,7 +186,7 @@ def bounds_of_second_order(low: Any, high: Any) -> PlantBounds:
 
 
 def are_same_numbers(first: Any, second: Any) -> bool:
-    """Whether two parts, or two parameters, have equal plain numbers; a swept number is an array, and so not plain."""
+    """Whether two parts, or two parameters, consist of equal plain numbers; False for a swept number, an array."""
     leaves = jax.tree.leaves((first, second))
     return all(isinstance(leaf, int | float) for leaf in leaves) and first == second
 
@@ -191,7 +196,7 @@ def form_of(model: Plant, params: Any) -> NormalForm:
 
     Args:
         model: The plant in state space or as a transfer function.
-        params: Its parameters.
+        params: Parameters of the plant, in plain numbers.
     """
     if model is STATE_SPACE:
         return normal_form(*transfer_function(RealisedSystem(params.a, params.b, params.c)))
@@ -199,7 +204,7 @@ def form_of(model: Plant, params: Any) -> NormalForm:
 
 
 def swing(amplitude: Numeric, period: Numeric, order: int) -> Numeric:
-    """Largest magnitude of a derivative of a sine, in the amplitude's unit per second to the order.
+    """Largest magnitude of a derivative of a sine, in the unit of the amplitude per s^order.
 
     Args:
         amplitude: Amplitude of the sine.
@@ -210,11 +215,11 @@ def swing(amplitude: Numeric, period: Numeric, order: int) -> Numeric:
 
 
 def reference_bounds(model: Reference, ends: Ends) -> dict[str, Numeric]:
-    """Suprema of the reference and its first three derivatives, as fields of :class:`Bounds`; absent ones are 0.
+    """Suprema of the reference and its first three derivatives, by field of :class:`Bounds`; absent fields are 0.
 
     Args:
         model: Model of the reference.
-        ends: Its parameters at both ends of their laws.
+        ends: Parameters of the reference at both ends of their laws.
 
     Raises:
         NotCovered: The third derivative has no known bound.
@@ -238,16 +243,16 @@ def reference_bounds(model: Reference, ends: Ends) -> dict[str, Numeric]:
 
 
 def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Numeric]:
-    """The constants of (A0.b)-(A3), as fields of :class:`Bounds`; absent ones are 0.
+    """The constants of (A0.b)-(A3) for a disturbance, by field of :class:`Bounds`; absent fields are 0.
 
-    A step counts as constant: the theorem applies again after its time.
+    A step counts as a constant disturbance, since the theorem applies again from the time of the step on.
 
     Args:
         model: Model of the disturbance.
-        ends: Its parameters at both ends of their laws.
+        ends: Parameters of the disturbance at both ends of their laws.
 
     Raises:
-        NotCovered: The disturbance's derivative has no known bound.
+        NotCovered: The derivative of the disturbance has no known bound.
     """
     low = ends.low
     if model is NO_DISTURBANCE:
@@ -265,10 +270,12 @@ def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Numeric]:
 
 
 def spline_bounds(ends: Ends) -> dict[str, Numeric]:
-    """The constants of a spline, whose slope between two knots is at most their difference over the interval.
+    """The constants of (A0.b)-(A3) for a cubic B-spline with uncertain knots, by field of :class:`Bounds`.
+
+    The largest slope is at most the largest difference of two consecutive knots, divided by the interval between them.
 
     Args:
-        ends: Its parameters at both ends of their laws.
+        ends: Parameters of the spline at both ends of their laws.
     """
     largest_knots: list[Numeric] = [0.0]  # it begins and ends at 0
     for low, high in zip(ends.low.knots, ends.high.knots, strict=True):
@@ -279,12 +286,12 @@ def spline_bounds(ends: Ends) -> dict[str, Numeric]:
 
 
 def nominal_bounds(ends: Ends, p: Parameters, reference: dict[str, Numeric]) -> dict[str, Numeric]:
-    """The constants of (A4) for the nominal control (37), as fields of :class:`Bounds`; absent ones are 0.
+    """The constants of (A4) for the nominal control (37), by field of :class:`Bounds`; absent fields are 0.
 
-    Each constant is taken at the end of the gains' laws where it is larger.
+    Each constant is the larger of its values at the two ends of the gains' laws.
 
     Args:
-        ends: The nominal gains at both ends; their low end is None without a nominal control.
+        ends: Gains of the nominal control at both ends of their laws; both ends are None without a nominal control.
         p: Parameters of Table 1, from which the largest 1/tau_m follows.
         reference: Suprema of the reference, by :func:`reference_bounds`.
     """

@@ -1,7 +1,7 @@
 """The Lyapunov function V = zeta^T P zeta of (53), and Q - 2 eps I > 0 over all admissible disturbances (54).
 
-P = [[gamma k_p, -2 eps], [-2 eps, 1]]. With kappa_2 = 2 eps kappa_1 + gamma,
-Q - 2 eps I = [[k_q, 2 eps alpha_1 - alpha_2], [., 2 eps]], where
+P = [[gamma k_p, -2 eps], [-2 eps, 1]]. With kappa_2 = 2 eps kappa_1 + gamma, the symmetric matrix is
+Q - 2 eps I = [[k_q, 2 eps alpha_1 - alpha_2], [., 2 eps]], where the dot stands for the same entry and
 k_q = 2 (gamma k_p - 4 eps^2) k_p kappa_1 - 4 eps gamma k_p - 2 gamma k_p alpha_1 + 4 eps alpha_2 - 2 eps
 (the article prints its second term with the wrong sign).
 """
@@ -17,9 +17,9 @@ from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.table1 import Parameters, f
 
 POINTS = 49
-"""Values of |sigma|, and of |e|, in the search for a negative eigenvalue."""
+"""Number of values of |sigma|, and of |e|, in the search for a negative eigenvalue."""
 GAIN_POINTS = 5
-"""Values of k_p in this search."""
+"""Number of values of k_p in the search for a negative eigenvalue."""
 
 
 class EigenvalueRange(NamedTuple):
@@ -30,14 +30,20 @@ class EigenvalueRange(NamedTuple):
 
     @property
     def condition(self) -> Numeric:
-        """Condition number of the matrix, the ratio of the eigenvalues."""
+        """Condition number of the matrix, the ratio of the largest eigenvalue to the smallest."""
         return self.high / self.low
 
 
 def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> EigenvalueRange:
     """Smallest and largest eigenvalue of P; the smallest is NaN unless P > 0, that is gamma k_p > 4 eps^2.
 
-    The smallest is the determinant divided by the largest, a quotient in which no digits cancel.
+    The smallest one is computed as the determinant divided by the largest one. The formula with a difference would lose
+    digits by cancellation.
+
+    Args:
+        k_p: High-frequency gain [1/s].
+        eps: Parameter eps of P.
+        gamma: Parameter gamma of P.
     """
     p_11 = gamma * k_p
     root = ((p_11 - 1.0) ** 2 + 16.0 * eps**2) ** 0.5
@@ -59,12 +65,14 @@ class AlphaBounds(NamedTuple):
 
 
 def alpha_bounds(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, e: Numeric) -> AlphaBounds:
-    """The bounds rho_1 and rho_2 at (sigma, e); the article omits k_p on the integral terms of rho_2.
+    """The bounds rho_1 of |alpha_1| and rho_2 of |alpha_2| at (sigma, e), for every k_p up to k_max.
+
+    The article omits the factor k_p on the integral terms of rho_2; here it is k_max.
 
     Args:
         p: Parameters of Table 1.
         bounds: Bounds of plant, disturbance, nominal control and reference.
-        constants: The constants that follow from them.
+        constants: The constants that follow from the bounds.
         sigma: Values of sigma [m/s].
         e: Values of e [m].
     """
@@ -79,14 +87,14 @@ def kappa_1(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
 
 
 def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, alpha_2: Numeric) -> Numeric:
-    """Smallest eigenvalue of the symmetric matrix Q - 2 eps I, whose entries the module's text gives.
+    """Smallest eigenvalue of the symmetric matrix Q - 2 eps I, whose entries the docstring of the module gives.
 
     Args:
         p: Parameters of Table 1.
         k_p: High-frequency gain [1/s].
         gain: Value of the gain function kappa_1.
-        alpha_1: Ratio beta_1/phi_1 of a term of the disturbance.
-        alpha_2: Ratio beta_2/phi_2 of another term of the disturbance.
+        alpha_1: Ratio beta_1/phi_1, by which the disturbance term beta_1 enters Q.
+        alpha_2: Ratio beta_2/phi_2, by which the disturbance term beta_2 enters Q.
     """
     eps = p.eps
     p_11 = p.gamma * k_p
@@ -110,10 +118,17 @@ def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, 
 
 
 def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: Numeric) -> Numeric:
-    """Smallest eigenvalue of Q - 2 eps I for all |alpha_1| <= rho_1 and |alpha_2| <= rho_2, at k_p, sigma and e.
+    """Smallest eigenvalue of Q - 2 eps I over all |alpha_1| <= rho_1 and |alpha_2| <= rho_2, at k_p, sigma and e.
 
-    The matrix is affine in (alpha_1, alpha_2). So its smallest eigenvalue is concave, and is least at one of the four
-    vertices of the rectangle.
+    The matrix is affine in (alpha_1, alpha_2). So its smallest eigenvalue is concave, and its minimum over the
+    rectangle of admissible values lies at one of the four vertices.
+
+    Args:
+        p: Parameters of Table 1.
+        bounds: Bounds of plant, disturbance, nominal control and reference.
+        k_p: High-frequency gain [1/s].
+        sigma: Values of sigma [m/s].
+        e: Values of e [m]; the shapes of k_p, sigma and e broadcast.
     """
     limit = alpha_bounds(p, bounds, derive(bounds, p.l0), sigma, e)
     gain = kappa_1(p, sigma, e)
@@ -126,10 +141,10 @@ def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: N
 
 
 def smallest_q_on_grid(p: Parameters, bounds: Bounds) -> float:
-    """Smallest eigenvalue of Q - 2 eps I that a search over a grid of sigma, e and k_p finds; for plain numbers.
+    """Smallest eigenvalue of Q - 2 eps I on a grid of sigma, e and k_p, for parameters and bounds in plain numbers.
 
-    It attacks the proof: a negative value would refute it. |sigma| and |e| range from 0 to 10^6 times the values at
-    which they matter in kappa_1.
+    The search tests the proof independently: a negative value would refute it. |sigma| and |e| range from 0 to 10^6
+    times the value at which their term in kappa_1 equals kappa_c.
     """
     multiples = np.concatenate([[0.0], np.logspace(-3, 6, POINTS - 1)])
     sigma = multiples[:, None, None] * p.kappa_c / p.kappa_a
@@ -147,23 +162,23 @@ class LinearBound(NamedTuple):
 
 
 def weighted_sum(first_weight: Numeric, first: LinearBound, second_weight: Numeric, second: LinearBound) -> LinearBound:
-    """The sum of two bounds, each times its weight."""
+    """The weighted sum of two linear bounds, term by term."""
     return LinearBound(*(first_weight * x + second_weight * y for x, y in zip(first, second, strict=True)))
 
 
 def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
-    """Coefficients of a polynomial in |sigma| and |e| that is positive where Q - 2 eps I > 0, and only there.
+    """Coefficients of a polynomial in |sigma| and |e| that is positive if and only if Q - 2 eps I > 0.
 
-    If all coefficients are positive, so is the polynomial, and Q - 2 eps I > 0 for every sigma and e.
+    If all coefficients are positive, the polynomial is positive, and so Q - 2 eps I > 0 for every sigma and e.
 
-    The matrix is positive if 2 eps k_q > (2 eps alpha_1 - alpha_2)^2. Each term is at its worst for alpha_1 = rho_1 and
-    alpha_2 = -rho_2. There the condition reads
+    The matrix is positive definite if 2 eps k_q > (2 eps alpha_1 - alpha_2)^2. The worst case of every term is
+    alpha_1 = rho_1 and alpha_2 = -rho_2. The condition then reads
 
         f kappa_1 - rho^2 - 4 eps gamma k_p rho_1 - 8 eps^2 rho_2 - 8 eps^2 gamma k_p - 4 eps^2 > 0
 
-    with rho = 2 eps rho_1 + rho_2. It is a polynomial of second degree, since rho_1, rho_2 and the root of
-    kappa_1 - kappa_d are linear in |sigma| and |e|. Divided by f, every subtracted term falls with k_p, so k_min
-    suffices. Table 1 demands more: it bounds rho_1 and rho_2 by rho.
+    with rho = 2 eps rho_1 + rho_2. The left side is a polynomial of second degree, since rho_1, rho_2 and the root of
+    kappa_1 - kappa_d are linear in |sigma| and |e|. Divided by f, every subtracted term falls as k_p rises, so the
+    condition at k_min suffices. Table 1 requires more: it bounds rho_1 and rho_2 by rho.
 
     Returns:
         The coefficients of sigma^2, |sigma e|, e^2, |sigma|, |e| and 1, at k_min.
@@ -196,7 +211,7 @@ def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
 
 
 def q_is_positive(p: Parameters, bounds: Bounds) -> Numeric:
-    """Whether Q - 2 eps I > 0 is proved for all sigma, e, alpha and k_p: f > 0 and positive coefficients."""
+    """Whether Q - 2 eps I > 0 is proved for all sigma, e, alpha_1, alpha_2 and k_p: f > 0 and positive coefficients."""
     holds = p.gamma * bounds.k_min > 4.0 * p.eps**2
     for coefficient in q_coefficients(p, bounds):
         holds = holds & (coefficient > 0.0)
@@ -206,8 +221,9 @@ def q_is_positive(p: Parameters, bounds: Bounds) -> Numeric:
 def functions_are_positive(p: Parameters) -> Numeric:
     """Whether k_o tau_av > 0 and tau_m > 0 are proved for all sigma, e.
 
-    (28) for k_o tau_av is positive term by term. For (29), which gives tau_m, eps kappa phi_b > kappa_b (l0 |e| +
-    |sigma|) suffices. Coefficient by coefficient, this holds if phi_b >= l0/eps and kappa_a >= kappa_b/(eps phi_b),
-    which is weaker than kappa_a > kappa_b/l0 of Table 1; kappa_c, kappa_d and gamma make it strict.
+    In (28), which gives k_o tau_av, every term is positive. For a positive tau_m in (29), the inequality
+    eps kappa phi_b > kappa_b (l0 |e| + |sigma|) suffices. Comparing the coefficients of |e| and |sigma|, this holds if
+    phi_b >= l0/eps and kappa_a >= kappa_b/(eps phi_b); the positive kappa_c, kappa_d and gamma make it strict. The
+    second condition is weaker than kappa_a > kappa_b/l0 of Table 1.
     """
     return (p.eps * p.phi_b >= p.l0) & (p.kappa_a * p.eps * p.phi_b >= p.kappa_b)

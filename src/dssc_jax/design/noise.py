@@ -1,9 +1,9 @@
 """The drift of DSSC's implicit form under measurement noise, and where it carries the loop.
 
-In sliding the implicit form adds g(s_k) (s_k - s_(k-1)) + T_s phi_2(s_k) to u_av at each sample. s_k = sigma + n_k is
-the measured sigma, g = 1/(k_o tau_av) and phi_2 = g sigma/tau_m. If g depends on sigma, the mean of the first term is
-not zero: it is an integral action of the wrong sign, which grows with the sampling rate. The loop rests where it
-balances the second term; see docs/model.md, Sampling.
+In sliding the implicit form adds g(s_k) (s_k - s_(k-1)) + T_s phi_2(s_k) to u_av at each sample. Here s_k = sigma + n_k
+is the measured sigma with the noise n_k, g = 1/(k_o tau_av) and phi_2 = g sigma/tau_m. If g depends on sigma, the mean
+of the first term is not zero. The term then acts as an integral of the wrong sign, which grows with the sampling rate.
+The loop rests where the two terms balance; see docs/model.md, Sampling.
 """
 
 from functools import partial
@@ -22,9 +22,9 @@ from dssc_jax.models.controllers.dssc import DSSC
 from dssc_jax.study import Study
 
 SAMPLES = 10_000
-"""Samples of noise in a mean; each counts a second time with the opposite sign."""
+"""Number of samples of noise in a mean; each sample also counts with the opposite sign."""
 OFFSETS = np.geomspace(1e-4, 1e4, 161)
-"""Values of sigma that are searched for the largest rest, in standard deviations of its noise."""
+"""Values of sigma at which the balance is sought, in standard deviations of the noise of sigma."""
 
 
 class Drift(NamedTuple):
@@ -33,8 +33,8 @@ class Drift(NamedTuple):
     Args:
         noise: Standard deviation of the noise of the measured sigma [m/s; rad/s for an angle].
         rate: Largest mean rate at which noise drives the command away from sigma = 0 [m/s^2].
-        error: The output error |e| at which the loop comes to rest [m; rad for an angle]; 0 if it returns to zero,
-            infinite if it does not come to rest within the searched values.
+        error: The output error |e| at which the loop comes to rest [m; rad for an angle]; 0 if the loop returns to
+            e = 0, infinite if the loop does not come to rest at any of the searched values.
     """
 
     noise: float
@@ -45,7 +45,7 @@ class Drift(NamedTuple):
 def sigma_noise(
     sensor: Sensor, differentiator: Differentiator, params: tuple[Any, Any], l0: Scalar, dt: Scalar
 ) -> jax.Array:
-    """Noise of sigma = y' + l0 y behind sensor and differentiator at y = y' = 0, less its mean, shape (SAMPLES,).
+    """Noise of the measured sigma = y' + l0 y at y = y' = 0, with its mean subtracted, shape (SAMPLES,).
 
     Args:
         sensor: Sensor of the channel.
@@ -78,8 +78,8 @@ def traced_noise(
     Args:
         models: Sensor and differentiator.
         tree: Structure of their parameters.
-        static_scalars: The leaves that are scalars, None in place of the others.
-        traced_arrays: The leaves that are arrays, None in place of the others.
+        static_scalars: Scalar leaves of the parameters, with None in place of each array.
+        traced_arrays: Array leaves of the parameters, with None in place of each scalar.
         l0: Error pole [1/s].
         dt: Sampling period [s].
     """
@@ -90,7 +90,7 @@ def traced_noise(
     key = jax.random.key(stream("noise"))
 
     def sample(state: Any, k: Scalar) -> tuple[Any, Scalar]:
-        """Next states of sensor and differentiator, and the measured sigma, at sample k."""
+        """Next states of sensor and differentiator, and the measured sigma [m/s], at sample k."""
         sensor_state, differentiator_state = state
         noise_key = jax.random.fold_in(key, k)
         sensor_state, measurement = sensor.step(sensor_params, sensor_state, at_rest, noise_key, k * dt, dt)
@@ -110,8 +110,8 @@ class MeanRates(NamedTuple):
     """Mean rates of the command u_av at several values of sigma.
 
     Args:
-        by_noise: Mean rate by the noise, shape (m,) [m/s^2]; negative where it drives sigma outward.
-        by_law: Mean rate by phi_2 of the law, shape (m,) [m/s^2]; positive, since it drives sigma to 0.
+        by_noise: Mean rate that the noise causes, shape (m,) [m/s^2]; negative where the noise drives sigma outward.
+        by_law: Mean rate that phi_2 causes, shape (m,) [m/s^2]; positive, since phi_2 drives sigma to 0.
     """
 
     by_noise: jax.Array
@@ -120,18 +120,24 @@ class MeanRates(NamedTuple):
 
 @jax.jit
 def mean_rates(functions: Any, l0: Scalar, noise: jax.Array, sigma: jax.Array, dt: Scalar) -> MeanRates:
-    """Mean rates of the command u_av at several constant true values of sigma, with e = sigma/l0.
+    """Mean rates of the command u_av at several constant values of the true sigma, with e = sigma/l0.
 
     Args:
         functions: The state-dependent functions of DSSC.
         l0: Error pole [1/s].
-        noise: Successive noise of sigma [m/s], shape (n,).
+        noise: Noise of sigma at successive samples [m/s], shape (n,).
         sigma: True values of sigma [m/s], shape (m,).
         dt: Sampling period [s].
     """
 
     def rates(sigma: Scalar, noise: Scalar, previous: Scalar) -> tuple[Scalar, Scalar]:
-        """Rates of u_av at one sample, by the change of the noise since the previous sample and by phi_2."""
+        """Two rates of u_av at one sample [m/s^2]: by the change of the noise, and by phi_2.
+
+        Args:
+            sigma: True value of sigma [m/s].
+            noise: Noise of sigma at this sample [m/s].
+            previous: Noise of sigma at the previous sample [m/s].
+        """
         noisy_sigma = sigma + noise
         k_o, tau_av, tau_m = functions.at(noisy_sigma, sigma / l0, l0)
         gain = 1.0 / (k_o * tau_av)
@@ -146,14 +152,15 @@ def mean_rates(functions: Any, l0: Scalar, noise: jax.Array, sigma: jax.Array, d
 def noise_drift(study: Study) -> dict[str, Drift]:
     """Predict where measurement noise carries the implicit form of DSSC, channel by channel.
 
-    Disturbances and unmodelled dynamics are neglected, the sign is not smoothed, and rho is large enough for sliding.
+    The prediction neglects disturbances and unmodelled dynamics. It assumes an exact sign and a rho that keeps sliding.
     Uncertain numbers have their median values. A sweep is ignored.
 
     Args:
         study: The study.
 
     Returns:
-        Each noisy channel in the implicit form of DSSC, by name; the single channel of a SISO plant is ``""``.
+        The drift of each channel with noise and the implicit form of DSSC, by the channel's name; the name is empty for
+        a plant with one channel.
     """
     loop = study.loop
     template = jax.tree.map(lambda leaf: leaf if np.ndim(leaf) else nominal(leaf), study.template)  # records: arrays
@@ -175,9 +182,9 @@ def noise_drift(study: Study) -> dict[str, Drift]:
 
 
 def noise_warning(study: Study) -> str | None:
-    """A warning of one sentence if :func:`noise_drift` predicts an error beyond the settling band of a channel.
+    """A warning in one sentence if :func:`noise_drift` predicts an error beyond the settling band of ``[metrics]``.
 
-    None if it predicts no such error.
+    The result is None if no channel has such an error.
     """
     band = study.config.metrics.window.band
     unit_of_channel = {name: units.output for name, units in zip(study.loop.channels, study.units, strict=True)}
@@ -195,7 +202,9 @@ def noise_warning(study: Study) -> str | None:
 
 
 def balanced_drift(noise_std: float, sigma: np.ndarray, rates: MeanRates, l0: float) -> Drift:
-    """The drift from rates over a grid of sigma: the loop rests at the largest sigma at which the rates balance.
+    """The drift that follows from mean rates over a grid of sigma.
+
+    The loop rests at the largest sigma at which the two rates balance, interpolated between values of the grid.
 
     Args:
         noise_std: Standard deviation of the noise of sigma [m/s].

@@ -1,4 +1,4 @@
-"""First gains of PID: a phase margin at the bandwidth, integral action below it, and one lead element.
+"""First gains of PID: a phase margin at the bandwidth, integral action below the bandwidth, and one lead element.
 
 Reference:
     K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), chapters 11 and 12.
@@ -19,30 +19,33 @@ from dssc_jax.study.laws import nominal_params
 
 PHASE_MARGIN = math.radians(60.0)
 LEAST_MARGIN = math.radians(45.0)
-"""Phase margin that is accepted where one lead element gives no more with the slowest integral."""
+"""Least accepted phase margin [rad], where one lead element and the slowest integral do not give the full margin."""
 SLOWEST = 0.1
-"""Corner frequency of the slowest integral, in bandwidths."""
+"""Corner frequency of the slowest integral, relative to the bandwidth."""
 MOST_LEAD = math.radians(65.0)
-"""Largest phase lead of one lead element."""
+"""Largest phase lead of one lead element [rad]."""
 MOST_LAG = math.radians(85.0)
-"""Largest phase lag of the integral part at the bandwidth."""
+"""Largest phase lag of the integral part at the bandwidth [rad]."""
 MOST_ADVANCE = math.radians(10.0)
-"""Largest positive phase of a plant at the bandwidth with which PID can cross there."""
+"""Largest phase of a plant at the bandwidth [rad] at which this rule designs a PID controller."""
 LAG_BEYOND = math.radians(66.0)
-"""Phase, in (-pi, pi], above which a plant has a large lag of more than a half turn, rather than a lead."""
+"""Phase in (-pi, pi] [rad] above which the plant is taken to lag by more than pi, rather than to lead."""
 FAR_BELOW = 1e-6
-"""Frequency, in bandwidths, at which a plant has its gain at rest."""
+"""Frequency relative to the bandwidth at which a plant is taken to have its gain at rest."""
 VANISHING = 1e-3
 """Share of the gain at the bandwidth below which the gain at rest counts as 0."""
 
 
 def pid(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
-    """The table of a PID controller with a phase margin at the bandwidth.
+    """The table ``[controller]`` of a PID controller with the phase margin :data:`PHASE_MARGIN` at the bandwidth.
+
+    The margin may be as small as :data:`LEAST_MARGIN` where no integral reaches the full one. It is larger where the
+    plant alone has more.
 
     Args:
         problem: The plant, its actuators and the limit of the command.
         omega: The bandwidth [rad/s].
-        ratio: Smallest corner frequency of the integral action, in bandwidths.
+        ratio: Smallest corner frequency of the integral action, relative to the bandwidth.
 
     Raises:
         ConfigError: PID cannot give the phase margin at this bandwidth.
@@ -71,22 +74,22 @@ def pid(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
 
 
 def lead_for_margin(phase: float, corner: float) -> float:
-    """Phase lead [rad] that gives the phase margin at the bandwidth; negative if there is more than that margin.
+    """Phase lead [rad] that gives :data:`PHASE_MARGIN` at the bandwidth; negative if the margin without it is larger.
 
     Args:
         phase: Phase of the plant at the bandwidth [rad].
-        corner: Corner frequency of the integral part, in bandwidths.
+        corner: Corner frequency of the integral part, relative to the bandwidth.
     """
     return PHASE_MARGIN - math.pi - phase + math.atan(corner)
 
 
 def lead_error(problem: DesignProblem, omega: float, required_lead: float) -> ConfigError:
-    """The error that PID would need more phase lead at the bandwidth than one lead element gives.
+    """The error that PID needs more phase lead at the bandwidth than one lead element gives, with a remedy.
 
     Args:
         problem: The plant and the study's name.
         omega: The bandwidth [rad/s].
-        required_lead: The phase lead [rad].
+        required_lead: The phase lead that PID needs [rad].
     """
     if has_negative_gain_at_rest(problem.actuated_plant, omega):
         rule = "has a negative gain at rest, and the gains of 'pid' are at least 0"
@@ -98,7 +101,7 @@ def lead_error(problem: DesignProblem, omega: float, required_lead: float) -> Co
 
 
 def gains_with_lead(response: complex, omega: float, corner: float, lead: float) -> TomlTable:
-    """The table of a PID controller with which the loop gain is 1 at the bandwidth.
+    """The table ``[controller]`` of a PID controller that makes the loop gain 1 at the bandwidth.
 
     PID is the product of a gain, an integral part 1 + corner/s, and a lead element (1 + T s)/(1 + T_f s) with its
     largest lead at the bandwidth.
@@ -106,8 +109,8 @@ def gains_with_lead(response: complex, omega: float, corner: float, lead: float)
     Args:
         response: Frequency response of the plant at the bandwidth.
         omega: The bandwidth [rad/s].
-        corner: Corner frequency of the integral part [rad/s]; 0: none.
-        lead: Phase lead of the element [rad]; 0: none.
+        corner: Corner frequency of the integral part [rad/s]; 0: no integral.
+        lead: Phase lead of the lead element at the bandwidth [rad]; 0: no lead element.
     """
     lead_time = filter_time = 0.0  # T and T_f
     if lead > 0.0:
@@ -131,7 +134,7 @@ def gains_with_lead(response: complex, omega: float, corner: float, lead: float)
 def command_limits(problem: DesignProblem) -> TomlTable:
     """The limits of the command, as fields of a controller; empty if the design has no limit.
 
-    An actuator without a state that saturates earlier narrows the limits of the design.
+    An actuator without a state, such as a saturation, narrows the limits if it saturates within them.
     """
     if problem.limit is None:
         return {}
@@ -148,13 +151,15 @@ def command_limits(problem: DesignProblem) -> TomlTable:
 
 
 def passed_command(model: Unmodelled, params: Params, state: State, extreme: float) -> float:
-    """Largest or smallest command that an actuator without a state passes on: its output where it saturates.
+    """Largest or smallest command that an actuator without a state passes on, as a limit of the controller.
+
+    The actuator counts as saturated if twice the command gives the same output; that output is then the limit.
 
     Args:
         model: The actuator.
-        params: Its parameters, in plain numbers.
-        state: Its empty state.
-        extreme: Largest or smallest command of the design, which stays if the actuator does not saturate there.
+        params: Parameters of the actuator, in plain numbers.
+        state: Empty state of the actuator.
+        extreme: Largest or smallest command of the design; the result if the actuator does not saturate.
     """
     output = float(model.output(params, state, extreme))
     output_beyond = float(model.output(params, state, 2.0 * extreme))
@@ -163,11 +168,11 @@ def passed_command(model: Unmodelled, params: Params, state: State, extreme: flo
 
 
 def has_gain_at_rest(plant: LinearPlant, omega: float) -> bool:
-    """Whether the plant has a gain at rest; if it has a zero there, an integral would grow without effect.
+    """Whether the plant has a gain other than 0 at rest; without one, an integral would grow without effect.
 
     Args:
         plant: The sampled plant.
-        omega: The bandwidth [rad/s], with whose gain the gain far below is compared.
+        omega: The bandwidth [rad/s]; the gain far below it is compared with the gain there.
     """
     return abs(plant.response(FAR_BELOW * omega)) > VANISHING * abs(plant.response(omega))
 

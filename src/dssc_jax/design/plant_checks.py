@@ -16,22 +16,22 @@ from dssc_jax.study.actuators import kind_in
 from dssc_jax.study.laws import nominal_params
 
 POINTS = 4
-"""Points near the plant's start at which it is examined."""
+"""Number of random points near its start at which a plant is examined."""
 NEAR = 0.05
-"""Standard deviation of the points' distance from the start, relative to 0.1 + |x|."""
+"""Standard deviation of the points' distance from the start x, relative to 0.1 + |x| in each state."""
 PUSH = 0.1
-"""Standard deviation of commands and disturbances at the points."""
+"""Standard deviation of the random commands and disturbances at the points, in their own units."""
 SAME_RATE = 1e-3
-"""Relative difference of y' from the derivative of y, or of two slopes, that counts as none."""
+"""Relative tolerance of y' against the derivative of y, and of one slope against another."""
 
 
 class PlantFindings(NamedTuple):
     """Properties of a plant at some points near its start.
 
     Args:
-        wrong_rates: Mask of the channels whose y' is not the derivative of y at any point, shape (channels,).
+        wrong_rates: Mask of the channels whose y' differs from the derivative of y at every point, shape (channels,).
         effective_commands: Mask of the commands at which a disturbance has an effect at some point, shape (channels,).
-        effective_inputs: Mask of the named inputs at which a disturbance has an effect, shape (inputs,).
+        effective_inputs: Mask of the named inputs at which a disturbance has an effect at some point, shape (inputs,).
         is_inconsistent: Whether ``linear`` with ``remainder`` gives other slopes than ``derivative`` at some point.
     """
 
@@ -45,13 +45,13 @@ class PlantAtPoint(NamedTuple):
     """Values and derivatives of a plant's functions at one state, for one set of commands and disturbances.
 
     Args:
-        along: Derivative of y in time, along the slopes of the states, shape (channels,).
+        along: Time derivative of y, as it follows from the slopes of the states, shape (channels,).
         rate: The y' that the plant measures, shape (channels,).
-        effects: Derivatives of slopes and measurements by the disturbances at the commands and at the named inputs,
-            shape (states + 2 channels, channels + inputs).
-        slopes: Slopes of the states, their derivatives in time, by ``derivative``, shape (states,).
-        slopes_of_parts: Slopes by ``linear`` and ``remainder``, which a run takes; ``slopes`` for a plant without these
-            parts.
+        effects: Derivatives of the slopes, of every y and of every y' with respect to the disturbances at the commands
+            and at the named inputs, shape (states + 2 channels, channels + inputs).
+        slopes: Slopes of the states, their time derivatives, by ``derivative``, shape (states,).
+        slopes_of_parts: Slopes of the states by ``linear`` and ``remainder``, which a run uses, shape (states,); equal
+            to ``slopes`` for a plant without these parts.
     """
 
     along: jax.Array
@@ -65,7 +65,7 @@ def plant_warnings(study: Study) -> list[str]:
     """Warnings of a user's own plant that contradicts itself, or that ignores a disturbance of the study.
 
     A plant contradicts itself if its y' is not the derivative of its y, or if ``linear`` and ``remainder`` do not add
-    up to ``derivative``. Derivatives at some points near its start tell this. Plants of this package, plants with a
+    up to ``derivative``. Derivatives at random points near the start show this. Plants of this package, plants with a
     state outside of JAX, and plants that fly in a wind are not examined.
 
     Args:
@@ -108,7 +108,7 @@ def plant_warnings(study: Study) -> list[str]:
 def plant_findings(study: Study) -> PlantFindings:
     """Examine the plant of a study at random points near its start.
 
-    The y' of a channel is wrong if it differs from the derivative of y at all points at which both are finite.
+    The y' of a channel counts as wrong if it differs from the derivative of y at every point where both are finite.
     """
     channel_count = len(study.loop.channels)
     input_count = len(study.loop.input_names)
@@ -139,11 +139,11 @@ def plant_findings(study: Study) -> PlantFindings:
 
 
 class PlantExamination(NamedTuple):
-    """How a plant is examined at a point.
+    """A compiled function that examines a plant at a point, and the plant's start.
 
     Args:
         start: The plant's state at the start as a vector, shape (states,).
-        examine: (state, signals) -> values and derivatives there, compiled. The signals are the commands, the
+        examine: (state, signals) -> values and derivatives at this point. The signals are the commands, the
             disturbances at the commands, and those at the named inputs, shape (2 channels + inputs,).
     """
 
@@ -152,7 +152,7 @@ class PlantExamination(NamedTuple):
 
 
 def plant_examination(study: Study) -> PlantExamination:
-    """The examination of a study's plant, with the nominal values of its numbers."""
+    """Make the function that examines a study's plant; the plant's numbers have their nominal values."""
     plant = study.loop.mimo_plant
     channel_count = len(study.loop.channels)
     params = nominal_params(study.template).plant
@@ -164,12 +164,12 @@ def plant_examination(study: Study) -> PlantExamination:
         return PlantInput(tuple(commands), disturbance=tuple(matched), wind=None, inputs=tuple(inputs))
 
     def slope(x: jax.Array, signals: jax.Array) -> jax.Array:
-        """Slopes of the states by ``derivative``."""
+        """Slopes of the states x by ``derivative``, shape (states,), for the given signals."""
         slopes, _ = ravel_pytree(plant.derivative(params, unravel(x), drive_of(signals), 0.0))
         return slopes
 
     def measured_outputs(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The y and the y' of every channel."""
+        """The outputs y, then the rates y', of all channels, each of shape (channels,)."""
         measurements = plant.measure(params, unravel(x), drive_of(signals))
         outputs = jnp.stack([jnp.asarray(measurement.y) for measurement in measurements])
         return outputs, jnp.stack([jnp.asarray(measurement.y_dot) for measurement in measurements])
@@ -190,7 +190,7 @@ def plant_examination(study: Study) -> PlantExamination:
         """Examine the plant at a state and for these signals."""
 
         def outputs_at(state: jax.Array) -> jax.Array:
-            """The y of every channel."""
+            """The outputs y of all channels, shape (channels,), at a state."""
             outputs, _ = measured_outputs(state, signals)
             return outputs
 

@@ -20,12 +20,12 @@ RATIO = 0.5  # share of the sampling limit that the proposed periods use
 class Practice(NamedTuple):
     """The sampling period that a design needs, and the bounds that its modulation rho must dominate.
 
-    Values for the residual set are NaN if no residual set is guaranteed. ``u_av`` and ``drift`` are also NaN if the
-    bounds do not determine them: a disturbance without ``alpha_d``, or an integral in the nominal control.
+    Values for the residual set are NaN if no residual set is guaranteed. ``u_av`` and ``drift`` are also NaN for a
+    disturbance without the bound ``alpha_d``, and for a nominal control with an integral.
 
     Args:
-        sample_time_origin: Sampling period for half the sampling limit at sigma = e = 0 and k_p = k_max [s].
-        sample_time: Sampling period for half the sampling limit over the guaranteed residual set [s].
+        sample_time_origin: Sampling period at half the sampling limit for sigma = e = 0 and k_p = k_max [s].
+        sample_time: Sampling period at half the sampling limit over the guaranteed residual set [s].
         proportional_gain: Bound of 1/(k_o tau_av), the synthesised proportional gain, over the residual set [1].
         u_av: Bound of |u_av| over the residual set [m/s].
         drift: Bound of |sigma' + sigma/tau_m| over the residual set [m/s^2]. By (20) k_o u_eq = k_o u_av + sigma' +
@@ -40,7 +40,7 @@ class Practice(NamedTuple):
 
 
 def practice(p: Parameters, bounds: Bounds, proved_guarantee: Guarantee | None = None) -> Practice:
-    """Sampling periods from the sampling limit of the synthesised law, and the bounds that rho must dominate.
+    """Compute the sampling periods that a design needs, and the bounds that its rho must dominate.
 
     Args:
         p: Parameters of Table 1.
@@ -60,7 +60,7 @@ def practice(p: Parameters, bounds: Bounds, proved_guarantee: Guarantee | None =
 
 
 def finite_guarantee(guaranteed: Guarantee) -> Guarantee:
-    """A guarantee with NaN in place of infinity, whose product with 0 would be NaN."""
+    """A guarantee with NaN in place of every infinite value, so that all values derived from it are NaN."""
     xp = namespace(*guaranteed)
     return Guarantee(*(xp.where(xp.isfinite(value), value, xp.nan) for value in guaranteed))
 
@@ -83,17 +83,19 @@ def proportional_gain(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
 def predictor_pole(p: Parameters) -> Numeric:
     """Bound of the predictor's pole 1/tau_m of (29) over all sigma and e [1/s].
 
-    1/tau_m has two terms. The term of d kappa_1/d e is at most kappa_b/kappa_a; NaN if kappa_a = 0, where it has no
-    bound. The term of kappa_2 is at most the largest phi_1/sigma times the largest kappa_2/kappa_1.
+    1/tau_m is the sum of two terms. The term with d kappa_1/d e is at most kappa_b/kappa_a; it has no bound if
+    kappa_a = 0, and the result is then NaN. The term with kappa_2 is at most the largest phi_1/sigma times the largest
+    kappa_2/kappa_1.
     """
     largest_ratio = 2.0 * p.eps + p.gamma / (p.kappa_c**2 + p.kappa_d)  # of kappa_2 to kappa_1
     return ratio_where(p.kappa_a > 0.0, p.kappa_b, p.kappa_a) + (p.phi_a / p.delta + p.phi_b) * largest_ratio
 
 
 def sample_time(k_p: Numeric, gain: Numeric, pole: Numeric) -> Numeric:
-    """The sampling period T_s at the share :data:`RATIO` of the sampling limit [s].
+    """The sampling period T_s [s] that uses the share :data:`RATIO` of the sampling limit.
 
-    At the limit, (k_p T_s gain)(1 + T_s pole/2)/2 is 1. The result is the positive root of the quadratic equation.
+    At the limit, (k_p T_s gain)(1 + T_s pole/2)/2 equals 1. The result is the positive root T_s of the quadratic
+    equation in which :data:`RATIO` takes the place of 1.
 
     Args:
         k_p: High-frequency gain [1/s].
@@ -117,14 +119,14 @@ class CommandBounds(NamedTuple):
 
 
 def command_bounds(p: Parameters, bounds: Bounds, residual_set: Guarantee) -> CommandBounds:
-    """Bounds of the averaged control and of the drift in the residual set; NaN where the loop's bounds give none.
+    """Bounds of the averaged control u_av and of the drift in the residual set; NaN if the loop has no such bounds.
 
     By (48) sigma' = -k_p kappa_1 phi_1 + beta_1 + z with |phi_1|, |z| <= zeta, and by (13) k_p u_av = d_sigma - sigma'.
 
     Args:
         p: Parameters of Table 1.
         bounds: Bounds of plant, disturbance, nominal control and reference.
-        residual_set: The guarantee, with NaN in place of infinity.
+        residual_set: The guarantee with its residual set, with NaN in place of infinity.
     """
     constants = derive(bounds, p.l0)
     sigma = residual_set.sigma
@@ -145,7 +147,10 @@ def command_bounds(p: Parameters, bounds: Bounds, residual_set: Guarantee) -> Co
 
 
 def determines_command(bounds: Bounds) -> Numeric:
-    """Whether the command has bounds: the disturbance is bounded, and the nominal control has no integral."""
+    """Whether the command has a bound.
+
+    It has one if the disturbance is 0 or has the bound ``alpha_d``, and the nominal control has no integral.
+    """
     disturbance = [getattr(bounds, name) for name in DISTURBANCE_FIELDS]
     is_undisturbed = namespace(*disturbance).logical_not(sum(disturbance) > 0.0)
     has_no_integral = bounds.c_isigma + bounds.c_ie == 0.0
@@ -160,17 +165,17 @@ def output_norm(bounds: Bounds) -> float:
 
 
 class Modulation(NamedTuple):
-    """Numbers of a design that determine its modulation rho (33), with which the loop reaches sliding."""
+    """The numbers of the modulation rho (33), with which the loop reaches sliding."""
 
     k_o: Annotated[float, positive("1/s", "constant predictor gain k_o")]
     delta_rho: Annotated[float, positive("m/s^2", "margin delta_rho of (33)")]
     sigma_tilde: Annotated[float, non_negative("m/s", "|sigma - sigma_hat| at the start")] = 0.0
 
     def needed_rho(self, practice: Practice) -> Numeric:
-        """Constant rho that maintains sliding in the residual set with the margin delta_rho [m/s]."""
+        """Constant rho [m/s] that maintains sliding in the residual set with the margin delta_rho."""
         return practice.u_av + (practice.drift + self.delta_rho) / self.k_o
 
     @property
     def first_sliding(self) -> float:
-        """Bound of the time at which the loop first slides under (33) [s], since |sigma_tilde|' <= -delta_rho (44)."""
+        """Bound of the time [s] at which the loop first slides under (33); by (44) |sigma_tilde|' <= -delta_rho."""
         return self.sigma_tilde / self.delta_rho

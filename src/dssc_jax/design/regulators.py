@@ -15,28 +15,30 @@ from dssc_jax.models.controllers.linear_quadratic import filter_gain, gain_at_re
 FILTER_RATIO = 4.0
 """Ratio of the filter's bandwidth to the regulator's."""
 PLACES = 9
-"""Decades on either side of a guess in which a weight is sought."""
+"""Decades from a guess within which a weight is sought."""
 CROSSING_TOLERANCE = 1e-12
 """Tolerance of a weight's logarithm."""
 FITS = 1e-9
-"""Share of the regulator's gains that measured signals may leave out."""
+"""Largest error, relative to the largest gain, with which gains of signals may replace gains of the states."""
 STILL = 1e-12
-"""Share of the largest signal below which a signal counts as one that does not move."""
+"""Magnitude of a signal, relative to the largest one, up to which the signal counts as not moving."""
 
 
 def lqg(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
-    """The table of an LQG controller of y, or of all measured signals.
+    """The table ``[controller]`` of an LQG controller that takes the measured signals, or y if there are none.
 
-    The weight of the command gives the regulator's loop its crossover at the bandwidth. The size of the noise gives the
-    filter's loop its crossover at ``FILTER_RATIO`` times that.
+    The weight of the command puts the crossover of the regulator's loop at the bandwidth. The size of the noise puts
+    the crossover of the filter's loop at :data:`FILTER_RATIO` times the bandwidth, or at half the Nyquist frequency if
+    that is lower.
 
     Args:
         problem: The plant and the limit of the command.
         omega: The bandwidth [rad/s].
-        ratio: Corner frequency of the integral action, in bandwidths.
+        ratio: Corner frequency of the integral action, relative to the bandwidth.
 
     Raises:
-        ConfigError: No weights give these crossovers, or a signal does not move with the disturbance.
+        ConfigError: No weights give these crossovers, a disturbance at the command does not move a signal, or the limit
+            excludes the resting command.
     """
     study = problem.study
     plant = problem.bare_plant
@@ -51,7 +53,7 @@ def lqg(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
     process_noise = np.outer(disturbance_column, disturbance_column)  # of a disturbance with standard deviation 1
 
     def filter_loop_gain(deviation: float) -> float:
-        """Loop gain of the filter at its bandwidth, for a standard deviation of the scaled signals' noise."""
+        """Loop gain of the filter at the filter's bandwidth, for noise of this standard deviation in scaled signals."""
         correction = filter_gain(sampled.a, scaled_rows, process_noise, deviation**2 * np.eye(len(rows)))
         response = responses(sampled.a, sampled.a @ correction, filter_bandwidth, dt)
         return float(np.linalg.norm(scaled_rows @ response, ord=2))
@@ -69,12 +71,12 @@ def lqg(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
 
 
 def signal_sizes(problem: DesignProblem, rows: np.ndarray, state_response: np.ndarray) -> np.ndarray:
-    """Magnitude with which a disturbance at the command moves each measured signal, shape (m,).
+    """Magnitude of each measured signal for a sinusoidal disturbance of amplitude 1 at the command, shape (m,).
 
     Args:
-        problem: The design problem, for the signals' names.
+        problem: The design problem; it names the signals in messages.
         rows: Row of each signal, shape (m, n).
-        state_response: Frequency response of the state to the disturbance, shape (n,).
+        state_response: Frequency response of the state to the disturbance, shape (n,), complex.
 
     Raises:
         ConfigError: A signal does not move, so that its noise has no scale.
@@ -91,9 +93,9 @@ def signal_sizes(problem: DesignProblem, rows: np.ndarray, state_response: np.nd
 
 
 def stated_model(problem: DesignProblem) -> TomlTable:
-    """The entry ``model`` of an LQG controller: the plant's linearisation.
+    """The entry ``model`` of an LQG controller, with the plant's linearisation.
 
-    Empty for a linear plant, since the controller takes the study's plant as its model.
+    The table is empty for a linear plant, since the controller then takes the study's plant as its model.
     """
     plant = problem.plant
     dynamics = problem.study.loop.plant
@@ -109,10 +111,12 @@ def stated_model(problem: DesignProblem) -> TomlTable:
 
 
 def operating_point(problem: DesignProblem) -> TomlTable:
-    """The entries of a controller for the operating point about which its law acts; empty for a linear plant.
+    """The entries of a controller for the operating point about which its law acts.
+
+    The table is empty for a linear plant, and for a plant that no command holds at its start.
 
     Raises:
-        ConfigError: The limit excludes the command that holds the plant there.
+        ConfigError: The limit excludes the command that holds the plant at the operating point.
     """
     resting = problem.plant.resting
     if resting is None:
@@ -131,9 +135,9 @@ def operating_point(problem: DesignProblem) -> TomlTable:
 
 
 def integral_weight(plant: LinearPlant, corner: float) -> float:
-    """Weight of the integral of y, beside the weight 1 of y, with which it acts below a corner frequency.
+    """Weight of the squared integral of y [1/s^2], relative to that of y^2, for an integral below a corner frequency.
 
-    It is 0 for a plant without a gain at rest, on which an integral would have no effect.
+    The weight is 0 if the plant has no gain at rest, where an integral would have no effect.
 
     Args:
         plant: The sampled plant.
@@ -143,7 +147,7 @@ def integral_weight(plant: LinearPlant, corner: float) -> float:
 
 
 def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, sample_time: float) -> float:
-    """The weight of u^2 beside y^2 at which the regulator's loop gain crosses 1 at a frequency.
+    """The weight of u^2, relative to that of y^2, at which the regulator's loop gain crosses 1 at a frequency.
 
     Args:
         a: A of the sampled plant, shape (n, n).
@@ -167,7 +171,7 @@ def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, 
 
 
 def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: float) -> np.ndarray:
-    """Frequency response (z - A)^-1 B of a sampled state to its inputs, in the shape of the columns.
+    """Frequency response (z - A)^-1 B of a sampled state to inputs, in the shape of ``columns``.
 
     Args:
         a: A, shape (n, n).
@@ -180,17 +184,18 @@ def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: flo
 
 
 def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
-    """The table of a state feedback with the gains of LQG's regulator.
+    """The table ``[controller]`` of a state feedback with the gains of LQG's regulator.
 
-    It feeds back the measured signals, or y and y' of a plant of order two.
+    The controller feeds back the measured signals. If the study measures none, it feeds back y and y', or y alone for a
+    plant of order one.
 
     Args:
         problem: The plant and the limit of the command.
         omega: The bandwidth [rad/s].
-        ratio: Corner frequency of the integral action, in bandwidths.
+        ratio: Corner frequency of the integral action, relative to the bandwidth.
 
     Raises:
-        ConfigError: The signals do not show all states, or a gain would be negative.
+        ConfigError: The signals do not show all states, a gain would be negative, or no weight gives the crossover.
     """
     plant = problem.plant
     dt = problem.bare_plant.sample_time
@@ -223,14 +228,14 @@ def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTa
 def integral_regulator_gain(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, command_weight: float, integral: float, sample_time: float
 ) -> np.ndarray:
-    """Gains of the regulator of the states and of one more state, the sum of T_s y, shape (n + 1,).
+    """Regulator gains for a plant that is extended by an integral of y, the sum of T_s y, shape (n + 1,).
 
     Args:
         a: A of the sampled plant, shape (n, n).
         b: Column of its input, shape (n,).
         c: Row of y, shape (n,).
-        command_weight: Weight of u^2 beside y^2.
-        integral: Weight of the square of the sum.
+        command_weight: Weight of u^2, relative to that of y^2.
+        integral: Weight of the squared integral of y, relative to that of y^2 [1/s^2].
         sample_time: Sample time T_s [s].
     """
     n = len(a)
@@ -244,14 +249,16 @@ def integral_regulator_gain(
 
 
 def gains_of_signals(problem: DesignProblem, feedback: np.ndarray) -> np.ndarray:
-    """Gains of the measured signals, or else of y and y', that act as a feedback of the states does, shape (m,).
+    """Gains of the measured signals that are equivalent to a feedback of the states, shape (m,).
+
+    If the study measures no signals, the gains are those of y and y', or of y alone for a plant of order one.
 
     Args:
         problem: The plant and its signals.
         feedback: Gain of each state, shape (n,).
 
     Raises:
-        ConfigError: There are no such gains, or a signal contains the last command.
+        ConfigError: The signals do not show all states, or a signal with a gain contains the last command.
     """
     plant = problem.plant
     n = len(feedback)
@@ -276,10 +283,10 @@ def gains_of_signals(problem: DesignProblem, feedback: np.ndarray) -> np.ndarray
 
 
 def gains_of_output(problem: DesignProblem, signal_gains: np.ndarray, forward: float) -> TomlTable:
-    """The gains of a feedback of y and y', as fields of a controller.
+    """The gains of a feedback of y and y', as entries of the table ``[controller]``.
 
     Args:
-        problem: The design problem, for the study's name.
+        problem: The design problem; it names the study in messages.
         signal_gains: Gains of y and, for a plant of order two, y'.
         forward: Gain from the reference to the command with which y settles at the reference.
 
@@ -298,16 +305,16 @@ def crossing(size: Callable[[float], float], guess: float) -> float:
     """The positive weight at which a loop gain is 1.
 
     Args:
-        size: (weight) -> loop gain, which falls with the weight.
-        guess: A weight from which the bracket grows by decades, since a Riccati equation far from it may have no
-            solution in floating point.
+        size: (weight) -> loop gain, which falls as the weight rises.
+        guess: Weight from which the search moves decade by decade towards the crossing. A Riccati equation far from the
+            guess may have no solution in floating point.
 
     Raises:
-        ConfigError: The loop gain does not cross 1 within :data:`PLACES` decades.
+        ConfigError: The loop gain does not cross 1 within :data:`PLACES` decades of the guess.
     """
 
     def excess(log_weight: float) -> float:
-        """By how much the loop gain exceeds 1."""
+        """Loop gain minus 1, for the logarithm of a weight."""
         return size(math.exp(log_weight)) - 1.0
 
     start = math.log(guess)

@@ -4,11 +4,12 @@ With W_eta = (x_eta^T P_eta x_eta)^(1/2), x_eta = (eta, e), and W_v = (zeta^T P 
 W_eta' <= -k_eta1 W_eta + k_eta2 W_v + k_eta3 |y_m'| and W_v' <= -k_v1 W_v + k_v2 W_eta + k_v3 beta_m. The linear
 comparison system is stable, and decays to the residual set, if and only if k_v1 k_eta1 > k_v2 k_eta2.
 
-k_p enters only through P, and the extremes over [k_min, k_max] are attained at its ends. Stability and residuals
-depend on P's condition number only, and its derivative with respect to x = gamma k_p has the sign of
-x - 1 - 8 eps^2: it falls, then rises. The decay rate exceeds r if and only if r < k_eta1 and
-eps phi_b lmin(P) - r det P - (k_v2 k_eta2 lmin(P)/(k_eta1 - r)) lmax(P) > 0, where k_v2 k_eta2 lmin(P) does not
-depend on k_p: a concave function of k_p, since lmin is concave, det P affine and lmax convex.
+k_p enters only through P, and the worst case over [k_min, k_max] lies at an end of the interval, for two reasons.
+First, stability and residual sets depend on P only through its condition number. The derivative of this number with
+respect to x = gamma k_p has the sign of x - 1 - 8 eps^2, so the number falls and then rises.
+Second, let lmin and lmax be the eigenvalues of P. The decay rate exceeds r if and only if r < k_eta1 and
+eps phi_b lmin(P) - r det P - (k_v2 k_eta2 lmin(P)/(k_eta1 - r)) lmax(P) > 0. Here k_v2 k_eta2 lmin(P) does not depend
+on k_p, lmin is concave in k_p, det P affine and lmax convex. So the left side is concave, and least at an end.
 """
 
 from typing import NamedTuple
@@ -29,8 +30,8 @@ class ErrorDynamics(NamedTuple):
 
     Args:
         eigenvalues: Smallest and largest eigenvalue of P_eta.
-        by_sigma: |P_eta B_sigma|, by which sigma acts.
-        by_reference: |P_eta B_m|, by which y_m' acts.
+        by_sigma: |P_eta B_sigma|, the size of the effect of sigma.
+        by_reference: |P_eta B_m|, the size of the effect of y_m'.
     """
 
     eigenvalues: EigenvalueRange
@@ -41,8 +42,8 @@ class ErrorDynamics(NamedTuple):
 def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     """Solve (59) for P_eta, with A_xeta = [[A_eta, -l0 B_eta], [0, -l0]], B_sigma = [B_eta; 1] and B_m = [B_eta; 0].
 
-    For a plant of order two, P_eta is the number 1/l0. If P_eta is too ill-conditioned for its smallest eigenvalue to
-    be computed, that eigenvalue is NaN, and nothing is certified.
+    For a plant of order two, P_eta is the number 1/l0. If P_eta is so ill-conditioned that float64 does not resolve its
+    smallest eigenvalue, this eigenvalue is NaN, and nothing is certified.
 
     Args:
         bounds: Bounds of the loop, with the zero dynamics.
@@ -78,9 +79,12 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
 
 
 def solve_lyapunov(matrix: Numeric) -> Numeric:
-    """Solve A^T P + P A = -2 I for the symmetric P, for each matrix A of a stack, shape (..., n, n).
+    """Solve A^T P + P A = -2 I for the symmetric matrix P, shape (..., n, n).
 
-    The entries of P are the unknowns of one linear system of order n^2.
+    The n^2 entries of P are the unknowns of one linear system.
+
+    Args:
+        matrix: A matrix A, or a stack of them, shape (..., n, n).
     """
     xp = namespace(matrix)
     n = matrix.shape[-1]
@@ -103,12 +107,13 @@ def worst_condition(p: Parameters, bounds: Bounds) -> Numeric:
 
 
 class SmallGain(NamedTuple):
-    """The smallest phi_b of the small-gain condition by three formulas.
+    """The smallest phi_b that satisfies the small-gain condition, by three formulas.
 
     Args:
-        derived: From (58) and (60); the linear comparison system is stable for larger phi_b. Used for the certificate.
-        theorem: 4 gamma_1 gamma_2 <= phi_b^2 of Appendix G with the derived gains: twice as much.
-        printed: The last bound of Appendix D, with 1/4 instead of 4 and mixed powers of eigenvalues.
+        derived: From (58) and (60): the linear comparison system is stable for every larger phi_b. The certificate uses
+            this bound.
+        theorem: From 4 gamma_1 gamma_2 <= phi_b^2 of Appendix G with the derived gains; twice ``derived``.
+        printed: The last bound of Appendix D as printed, with 1/4 instead of 4 and mixed powers of eigenvalues.
     """
 
     derived: Numeric
@@ -138,9 +143,9 @@ def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
 
 
 def small_gain_holds(p: Parameters, bounds: Bounds) -> Numeric:
-    """Whether phi_b exceeds the derived bound by more than the bound's rounding error.
+    """Whether phi_b exceeds the derived small-gain bound by more than the bound's rounding error.
 
-    Most of this error comes from the determinant of P, whose terms cancel.
+    Most of the rounding error comes from the determinant of P, whose two terms cancel.
     """
     bound = small_gain(p, bounds).derived
     determinant = p.gamma * bounds.k_min - 4.0 * p.eps**2  # of P at k_min
@@ -167,7 +172,7 @@ def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, eigenvalue
 
     Args:
         p: Parameters of Table 1.
-        c: Constants of the inequalities.
+        c: The constants of :func:`dssc_jax.design.bounds.derive`.
         eta: Properties of P_eta.
         eigenvalues: Smallest and largest eigenvalue of P at this k_p.
     """
@@ -183,7 +188,9 @@ def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, eigenvalue
 
 
 class Guarantee(NamedTuple):
-    """The guarantee of Theorem 1 with its constants; a rate of 0 and infinite bounds if the small gain fails.
+    """The guarantee of Theorem 1: a decay rate and ultimate bounds.
+
+    The rate is 0 and the bounds are infinite if the small-gain condition does not hold.
 
     Args:
         decay_rate: Rate at which W_eta and W_v decay to the residual set [1/s].
@@ -191,7 +198,7 @@ class Guarantee(NamedTuple):
         e: Ultimate bound of |e| [m].
         zeta: Ultimate bound of |phi_1| and |z| [SI].
         x_eta: Ultimate bound of |(eta, e)| [SI].
-        order: e phi_b^2, the constant of O(1/phi_b^2) [m].
+        order: The ultimate bound ``e`` times phi_b^2, the constant of the order O(1/phi_b^2) of |e| [m].
     """
 
     decay_rate: Numeric
@@ -238,14 +245,14 @@ def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
 
 
 def guarantee_at(p: Parameters, bounds: Bounds, c: Constants, eta: ErrorDynamics, k_p: Numeric) -> Guarantee:
-    """Decay rate and residual sets that the small-gain condition guarantees at one k_p.
+    """Decay rate and residual sets that Theorem 1 guarantees at one k_p.
 
-    Where the condition does not hold, the rate is 0 and the sets are infinite.
+    Where the small-gain condition does not hold, the rate is 0 and the sets are infinite.
 
     Args:
         p: Parameters of Table 1.
         bounds: Bounds of plant, disturbance, nominal control and reference.
-        c: The constants that follow from them.
+        c: The constants that follow from the bounds.
         eta: Properties of P_eta.
         k_p: High-frequency gain [1/s].
     """

@@ -11,7 +11,7 @@ from dssc_jax.design.table1 import Parameters, over_phi_b
 
 
 class Recipe(StrEnum):
-    """How parameters of Table 1 are made from bounds.
+    """Rules by which the parameters of Table 1 follow from bounds and free parameters.
 
     ``strict`` meets every inequality over the whole interval of k_p, and the small-gain condition, with a chosen slack.
     ``printed`` takes the parameters that Table 1 prints, at k_min. These satisfy the inequalities of kappa_c and
@@ -25,7 +25,7 @@ class Recipe(StrEnum):
 class Free(NamedTuple):
     """The numbers of Table 1 that a designer chooses, and the relative slack of the strict recipe.
 
-    ``eps`` and ``gamma`` make the matrix P of the Lyapunov function (53); ``eps_1`` stands for the choice of ``gamma``.
+    ``eps`` and ``gamma`` determine the matrix P of the Lyapunov function (53); ``gamma`` follows from ``eps_1``.
     """
 
     l0: Annotated[Numeric, positive("1/s", "error pole l_0")]
@@ -39,15 +39,16 @@ class Free(NamedTuple):
 
 
 def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:
-    """Parameters of Table 1 from bounds and free parameters, which satisfy the design inequalities.
+    """Compute parameters of Table 1 from bounds and free parameters, after checks of both.
 
-    gamma is chosen so that f(k_min) = 1 + eps_1. The strict recipe uses max(1, 2 eps) for the factor m, which
-    satisfies the derived and the printed inequalities. It leaves the relative slack on kappa_c and kappa_d, and
-    raises phi_b above l0/eps + eps_3 if the small-gain condition requires it.
+    gamma is chosen so that f(k_min) = 1 + eps_1. The strict recipe takes max(1, 2 eps) for the factor m of
+    :func:`dssc_jax.design.table1.over_phi_b`, which satisfies the derived and the printed inequalities. It adds the
+    relative slack to the bounds of kappa_c and kappa_d. phi_b is l0/eps + eps_3, or larger if the small-gain condition
+    requires it.
 
     Args:
         bounds: Bounds of plant, disturbance, nominal control and reference.
-        free: l0, phi_a, eps, delta, eps_1, eps_2, eps_3 > 0 and the slack.
+        free: The free parameters, plain positive numbers.
         recipe: See :class:`Recipe`.
 
     Raises:
@@ -74,11 +75,11 @@ def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Pa
 
 
 def design(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:
-    """Parameters of Table 1 by the rules of :func:`synthesise`, without its checks; also for arrays and traced values.
+    """Compute parameters of Table 1 by the rules of :func:`synthesise`, without checks of the arguments.
 
     Args:
         bounds: Bounds of plant, disturbance, nominal control and reference.
-        free: The free parameters.
+        free: The free parameters: numbers, arrays or traced values.
         recipe: See :class:`Recipe`.
     """
     is_strict = recipe is Recipe.STRICT

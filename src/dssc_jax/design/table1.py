@@ -1,8 +1,8 @@
 """Table 1: its parameters, and its design inequalities with their slacks.
 
-k_p is uncertain: every inequality must hold for all k_p in [k_min, k_max]. With
-f(k_p) = 4 eps k_p (gamma k_p - 4 eps^2) > 1 at k_min, f rises and the bounds of kappa_c and kappa_d fall with k_p,
-so all hold on the interval if and only if they hold at k_min.
+k_p is uncertain, so every inequality must hold for all k_p in [k_min, k_max]. If
+f(k_p) = 4 eps k_p (gamma k_p - 4 eps^2) exceeds 1 at k_min, then f rises with k_p, and the bounds of kappa_c and
+kappa_d fall. So the inequalities hold on the whole interval if and only if they hold at k_min.
 """
 
 from enum import StrEnum
@@ -35,7 +35,11 @@ class Parameters(NamedTuple):
 
 
 class InequalityState(StrEnum):
-    """State of an inequality; ``not_evaluable`` if its bound has no meaning because f <= 1 or f <= 0."""
+    """State of an inequality.
+
+    ``boundary`` is an equality up to rounding. ``not_evaluable`` means that the bound has no meaning, because f <= 1 or
+    f <= 0.
+    """
 
     SATISFIED = "satisfied"
     BOUNDARY = "boundary"
@@ -48,10 +52,10 @@ class Inequality(NamedTuple):
 
     Args:
         name: The bounded quantity.
-        equation: Its location in the article.
+        equation: Location of the inequality in the article.
         value: Left side.
-        bound: Right side as derived; NaN if it has no meaning.
-        printed_bound: Right side as printed; NaN if it has no meaning.
+        bound: Right side as derived in this package; NaN if it has no meaning.
+        printed_bound: Right side as the article prints it; NaN if it has no meaning.
         rounding: Relative rounding error of the bound.
     """
 
@@ -66,7 +70,7 @@ class Inequality(NamedTuple):
     def as_printed(
         cls, name: str, equation: str, value: Numeric, bound: Numeric, rounding: Numeric = BOUNDARY_WIDTH
     ) -> "Inequality":
-        """An inequality whose derived bound is also the printed one."""
+        """Make an inequality whose derived bound is also the printed one; the arguments are fields of the class."""
         return cls(name=name, equation=equation, value=value, bound=bound, printed_bound=bound, rounding=rounding)
 
     @property
@@ -81,7 +85,7 @@ class Inequality(NamedTuple):
 
     @property
     def tolerance(self) -> Numeric:
-        """The largest |slack| that counts as equality, from the rounding of the bound."""
+        """The largest |slack| that counts as equality, from the relative rounding error of the bound."""
         return self.rounding * greater(abs(self.value), abs(self.bound))
 
     @property
@@ -104,38 +108,45 @@ class Inequality(NamedTuple):
 
 
 def f(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """The function f(k_p) = 4 eps k_p (gamma k_p - 4 eps^2), which the first design inequality requires to exceed 1."""
+    """The function f(k_p) = 4 eps k_p (gamma k_p - 4 eps^2), which the first design inequality requires to exceed 1.
+
+    Args:
+        k_p: High-frequency gain [1/s].
+        eps: Parameter eps of the Lyapunov matrix P.
+        gamma: Parameter gamma of P.
+    """
     return 4.0 * eps * k_p * (gamma * k_p - 4.0 * eps**2)
 
 
 def f_rounding(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """Bound of the absolute rounding error of f, whose two terms cancel."""
+    """Bound of the absolute rounding error of f, whose two terms may cancel; the arguments are those of :func:`f`."""
     return ULPS * 4.0 * eps * k_p * (gamma * k_p + 4.0 * eps**2)
 
 
 def kappa_c_bound(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """The Lyapunov bound (8 eps^2 + 2 gamma k_p)/(f - 1) of kappa_c.
+    """The bound (8 eps^2 + 2 gamma k_p)/(f - 1) of kappa_c that the Lyapunov function requires.
 
-    NaN if f <= 1, where it would be negative, and every kappa_c would satisfy it.
+    The result is NaN if f <= 1: the formula would then give a negative bound, which every kappa_c satisfies. The
+    arguments are those of :func:`f`.
     """
     excess = f(k_p, eps, gamma) - 1.0
     return ratio_where(excess > f_rounding(k_p, eps, gamma), 8.0 * eps**2 + 2.0 * gamma * k_p, excess)
 
 
 def kappa_d_bound(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """The bound (8 eps^2 gamma k_p + 4 eps^2)/f of kappa_d; NaN if f <= 0."""
+    """The bound (8 eps^2 gamma k_p + 4 eps^2)/f of kappa_d; NaN if f <= 0. The arguments are those of :func:`f`."""
     value = f(k_p, eps, gamma)
     return ratio_where(value > f_rounding(k_p, eps, gamma), 8.0 * eps**2 * gamma * k_p + 4.0 * eps**2, value)
 
 
 def over_phi_b(first: Numeric, second: Numeric, factor: Numeric, phi_b: Numeric) -> Numeric:
-    """The bound (first m phi_b + second)/phi_b^2 of kappa_a, kappa_b or kappa_c by the disturbance.
+    """The bound (first m phi_b + second)/phi_b^2 of kappa_a, kappa_b or kappa_c that the disturbance requires.
 
     Args:
-        first: Coefficient in the bound rho_1 of |alpha_1|, times phi_b.
-        second: Coefficient in the bound rho_2 of |alpha_2|, times phi_b^2.
-        factor: The factor m: 2 eps as derived, since rho = 2 eps rho_1 + rho_2. The article prints 1, which suffices
-            only for eps <= 1/2.
+        first: phi_b times the coefficient in the bound rho_1 of |alpha_1|.
+        second: phi_b^2 times the coefficient in the bound rho_2 of |alpha_2|.
+        factor: The factor m. The derivation gives m = 2 eps, since rho = 2 eps rho_1 + rho_2. The article prints m = 1,
+            which suffices only for eps <= 1/2.
         phi_b: Linear part phi_b.
     """
     return (first * factor * phi_b + second) / phi_b**2
@@ -157,7 +168,14 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
     error = BOUNDARY_WIDTH + f_error  # absolute, of f and of a boundary
 
     def disturbance_row(name: str, left: Numeric, first: Numeric, second: Numeric) -> Inequality:
-        """Row of a bound by the disturbance, in its derived and its printed form; see :func:`over_phi_b`."""
+        """Row with a bound that the disturbance requires, as derived and as printed.
+
+        Args:
+            name: The bounded quantity.
+            left: Value of this quantity, the left side of the inequality.
+            first: As for :func:`over_phi_b`.
+            second: As for :func:`over_phi_b`.
+        """
         derived = over_phi_b(first, second, 2.0 * p.eps, p.phi_b)
         printed = over_phi_b(first, second, 1.0, p.phi_b)
         return Inequality(name, f"{table}, Appendix F", left, bound=derived, printed_bound=printed)

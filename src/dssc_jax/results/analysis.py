@@ -1,4 +1,4 @@
-"""Base class of all analyses, which saves and loads them by the types of their fields."""
+"""Base class of all analyses; it saves and loads an analysis by the types of its fields."""
 
 import json
 from abc import ABC, abstractmethod
@@ -27,8 +27,8 @@ APART = {STORED_APART: True}  # metadata of a field
 class Analysis(ABC):
     """The result of an analysis of a study.
 
-    A kind of analysis is a dataclass with further fields, which are saved by their types, and with :attr:`answer`, a
-    frozen dataclass whose fields have units and meanings. JSON, report and documentation follow from these.
+    A kind of analysis is a dataclass with further fields, which are saved by their types. Its :attr:`answer` is a
+    frozen dataclass whose fields have units and meanings. JSON, report and documentation follow from these fields.
 
     Args:
         study: The study that was analysed.
@@ -43,7 +43,7 @@ class Analysis(ABC):
     title: ClassVar[str]
     """Title of the analysis in a report."""
     table: ClassVar[tuple[str, ...]]
-    """Dimensions of the dataset along which its exported table has a row for each element."""
+    """Dimensions of the dataset for which the exported table has rows, one for each combination of indices."""
 
     study: Study = field(metadata=APART)
     dataset: xr.Dataset = field(repr=False, metadata=APART)
@@ -95,10 +95,10 @@ class Analysis(ABC):
 
         Args:
             folder: The folder.
-            trust_code: Import the models that its study names as ``module:object``.
+            trust_code: Whether to import the models that the study names as ``module:object``.
 
         Raises:
-            ConfigError: It contains no such analysis, or it is damaged.
+            ConfigError: The folder contains no such analysis, or the analysis is damaged.
         """
         stored = read_analysis(Path(folder), cls.kind, trust_code)
         integration = stored.settings.pop("integration", None)
@@ -116,7 +116,7 @@ class Analysis(ABC):
         return analysis
 
     def __eq__(self, other: object) -> bool:
-        """Whether the other is an analysis of the same kind and study, with the same numbers."""
+        """Whether another object is an analysis of the same kind and study, with the same numbers."""
         if not isinstance(other, type(self)):
             return NotImplemented
         if self.study.hash != other.study.hash or not self.dataset.identical(other.dataset):
@@ -136,7 +136,7 @@ def restored_analysis(kind: type[Kind], study: Study, dataset: xr.Dataset, setti
         kind: Class of the analysis.
         study: The study.
         dataset: The dataset.
-        settings: The other fields, as :func:`dssc_jax.results.fields.stored_fields` returned them.
+        settings: All other fields, as :func:`dssc_jax.results.fields.stored_fields` returned them.
 
     Raises:
         ConfigError: A field is missing or has a value of another type; the message names it.

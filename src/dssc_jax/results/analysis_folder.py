@@ -19,10 +19,10 @@ from dssc_jax.study import Study, hash_of, stored_study
 from dssc_jax.study.tables import require_shallow
 
 REQUIRED_ENTRIES = {"study": dict, "hash": str, "source": str, "settings": dict, "sums": dict}
-"""Entries that every description has, and their types."""
+"""Entries that every description of an analysis has, and their types."""
 
 FLAGS = ("flag_values", "flag_meanings")
-"""Attributes with the texts that codes stand for, following the CF conventions."""
+"""Attributes of a coded coordinate, with its codes and their texts, following the CF conventions."""
 
 
 class StoredAnalysis(NamedTuple):
@@ -40,9 +40,9 @@ class StoredAnalysis(NamedTuple):
 
 
 def require_free_folder(folder: Path, kind: str, study: Study) -> None:
-    """Refuse a folder into which an analysis cannot be written without a loss.
+    """Refuse a folder whose content would be lost if an analysis were written into it.
 
-    It must be absent or empty, or contain an analysis of this kind and study.
+    The folder must be absent or empty, or contain an analysis of this kind and study.
 
     Raises:
         ConfigError: The folder contains something else, such as a symbolic link, or cannot be read.
@@ -68,7 +68,7 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
         study: The study that was analysed.
         dataset: The numbers of the analysis.
         summary: Summary of the numbers, which is never read back.
-        settings: Other data needed for reading.
+        settings: Other data that are needed to read the analysis.
 
     Returns:
         The folder.
@@ -101,15 +101,16 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
 
 
 def stored_dataset(folder: Path) -> xr.Dataset:
-    """Read the dataset in the folder of an analysis, with codes in place of text."""
+    """Read the dataset in the folder of an analysis as it is stored, with codes in place of text."""
     array_files = ArrayFiles(folder / DATA, read_only=True)
     return xr.open_zarr(array_files, consolidated=False, zarr_format=3, chunks=None).load()
 
 
 def with_uniform_nan(dataset: xr.Dataset) -> xr.Dataset:
-    """The dataset with the same bits in every NaN.
+    """Copy a dataset, with the same bits in every NaN.
 
-    Zarr does not store a chunk that holds only NaN, and reads a NaN of its own there. Its digest must be the same.
+    Zarr does not store a chunk that contains only NaN. When it reads such a chunk, it fills in a NaN of its own. The
+    digest of the values must then be the same as before.
     """
     float_variables = {}
     for name, variable in dataset.data_vars.items():
@@ -123,7 +124,7 @@ def with_text_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str
     """Replace text coordinates of a dataset by numbers, since Zarr has no stable type for text.
 
     Returns:
-        The dataset with numbers, and the texts of each coordinate, by name of the coordinate.
+        The dataset with numbers, and the texts by name of the coordinate; a number is the index of its text.
     """
     labels = {}
     codes = {}
@@ -140,7 +141,7 @@ def with_text_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str
 
 
 def with_texts(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Dataset:
-    """Put the texts back that :func:`with_text_codes` replaced by numbers."""
+    """Restore the text coordinates that :func:`with_text_codes` replaced by numbers."""
     texts = {}
     for name, values in labels.items():
         attributes = {key: value for key, value in dataset[name].attrs.items() if key not in FLAGS}
@@ -149,9 +150,9 @@ def with_texts(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Datas
 
 
 def digests_of(dataset: xr.Dataset) -> dict[str, str]:
-    """Digest of each variable and coordinate, by name: of its values, dimensions and attributes.
+    """Digest of the values, dimensions and attributes of each variable and coordinate, by name.
 
-    The key ``""`` has the digest of the dataset's own attributes.
+    The key ``""`` has the digest of the attributes of the dataset itself.
     """
     sums = {}
     for name, variable in dataset.variables.items():
@@ -170,7 +171,7 @@ def read_description(folder: Path, kind: str) -> Manifest:
     """Read and check the description of an analysis, the file ``KIND.json`` of its folder.
 
     Raises:
-        ConfigError: It is missing, damaged, or has been altered.
+        ConfigError: The description is missing, damaged or altered.
     """
     path = folder / f"{kind}.json"
     try:
@@ -189,7 +190,7 @@ def require_entries(path: Path, description: JsonObject) -> None:
     """Require that a description has all entries of :data:`REQUIRED_ENTRIES`, and a study that matches its hash.
 
     Args:
-        path: Its file, for messages.
+        path: File of the description, for messages.
         description: The description.
 
     Raises:
@@ -213,10 +214,10 @@ def read_analysis(folder: Path, kind: str, trust_code: bool) -> StoredAnalysis:
     Args:
         folder: The folder.
         kind: Kind of analysis.
-        trust_code: Import the models that its study names as ``module:object``.
+        trust_code: Whether to import the models that the study names as ``module:object``.
 
     Raises:
-        ConfigError: It is missing, damaged, or has been altered.
+        ConfigError: The analysis is missing, damaged or altered.
     """
     description = read_description(folder, kind)
     try:
@@ -235,7 +236,7 @@ def read_analysis(folder: Path, kind: str, trust_code: bool) -> StoredAnalysis:
 
 
 def with_order(dataset: xr.Dataset, names: Iterable[str]) -> xr.Dataset:
-    """The dataset with its variables and coordinates in a given order of their names.
+    """Copy a dataset, with its variables and coordinates in a given order of names.
 
     Zarr lists arrays in the order in which the file system has them, which differs from one machine to the next.
     """

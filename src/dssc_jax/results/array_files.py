@@ -1,4 +1,4 @@
-"""A store for Zarr that reads and writes its files by :mod:`dssc_jax.core.files`, as all other files are."""
+"""A store for Zarr that reads and writes files by :mod:`dssc_jax.core.files`, as the rest of the package does."""
 
 import asyncio
 from collections.abc import Iterable
@@ -15,8 +15,9 @@ from dssc_jax.core import files
 class ArrayFiles(LocalStore):
     """A Zarr store in a folder.
 
-    Each chunk is a regular file, which is written completely or not at all. A store that is written must not be or
-    contain a symbolic link, and the folder above it must exist: a results folder that vanishes is not created anew.
+    Each chunk is a regular file, which is written completely or not at all. A store that is open for writing must
+    neither be nor contain a symbolic link. The folder above it must exist, so that a results folder that vanishes is
+    not created anew.
 
     Args:
         root: Folder of the store.
@@ -24,7 +25,7 @@ class ArrayFiles(LocalStore):
     """
 
     def __init__(self, root: Path | str, *, read_only: bool = False) -> None:
-        """Name the folder; it is created or required when the store is opened."""
+        """Set the folder of the store; opening the store creates or requires the folder."""
         super().__init__(Path(root), read_only=read_only)
 
     def _ensure_open_sync(self) -> None:
@@ -39,7 +40,7 @@ class ArrayFiles(LocalStore):
         await Store._open(self)
 
     def _require_root(self) -> None:
-        """Require that the folder exists; a store that is written creates it if the folder above it exists."""
+        """Require that the folder exists; a store for writing first creates it if the folder above it exists."""
         if not self.read_only:
             files.make_folder(self.root, self.root.parent)
         if not self.root.is_dir():
@@ -80,7 +81,7 @@ class ArrayFiles(LocalStore):
 
         Args:
             key: Path of the file within the store.
-            value: Its content.
+            value: Content of the file.
         """
         self._check_writable()
         self._ensure_open_sync()
@@ -94,7 +95,7 @@ class ArrayFiles(LocalStore):
         await asyncio.to_thread(self.set_sync, key, value)
 
     async def set_if_not_exists(self, key: str, value: Buffer) -> None:
-        """Write a file unless it exists. No other process can create it meanwhile: the results folder is locked."""
+        """Write a file unless it exists; the lock of the results folder keeps other processes from creating it."""
         if not await self.exists(key):
             await self.set(key, value)
 
@@ -124,7 +125,7 @@ class ArrayFiles(LocalStore):
 
 
 def requested_bytes(content: bytes, request: ByteRequest | None) -> bytes:
-    """The bytes of a file's content that Zarr requests: a range, all from an offset on, or the last; None: all."""
+    """Select the bytes that Zarr requests: a range, all from an offset on, or the last ones; None: all bytes."""
     match request:
         case RangeByteRequest():
             return content[request.start : request.end]

@@ -28,7 +28,7 @@ from dssc_jax.study import Study
 
 RESUME_HINT = "`resume` recomputes corrupted blocks"
 EVERY_CHUNK = {"array.write_empty_chunks": True}
-"""Zarr's setting to write chunks of NaN, too: the presence of a chunk means that it was computed."""
+"""Zarr's setting to write chunks of NaN, too; so the presence of a chunk means that it was computed."""
 Extent = tuple[tuple[int, ...], tuple[int, ...]]
 """Shape and chunks of an array."""
 
@@ -37,7 +37,7 @@ def create_arrays(folder: Path, study: Study, layout: Layout) -> dict[str, zarr.
     """Create all arrays of a results folder at once, and fill the coordinates.
 
     Args:
-        folder: The results folder; arrays in it are deleted.
+        folder: The results folder; existing arrays in the folder are deleted.
         study: The study as run.
         layout: Blocks of the run.
 
@@ -61,14 +61,14 @@ def create_arrays(folder: Path, study: Study, layout: Layout) -> dict[str, zarr.
 
 
 def array_extent(variable: Variable, layout: Layout) -> Extent:
-    """Shape and chunks of a variable's array: a chunk for each block of lanes."""
+    """Shape and chunks of a variable's array, which has a chunk for each block of lanes."""
     if variable.dims == ("draw",):
         return layout.shape[-1:], layout.block[-1:]
     return layout.shape, layout.block
 
 
 def coordinate_extent(values: np.ndarray) -> Extent:
-    """Shape and chunks of the array of a coordinate with these values: a single chunk."""
+    """Shape and chunks of the array of a coordinate with these values, which has a single chunk."""
     return values.shape, values.shape
 
 
@@ -102,7 +102,7 @@ def create_array(
 def open_group(folder: Path, mode: str) -> zarr.Group:
     """Open the Zarr group of a results folder.
 
-    Only version 3 of Zarr's format is accepted: version 2 has a codec that unpickles, and so may run foreign code.
+    Only version 3 of Zarr's format is accepted. Version 2 has a codec that unpickles data, which may run foreign code.
 
     Args:
         folder: The results folder.
@@ -120,14 +120,14 @@ def open_group(folder: Path, mode: str) -> zarr.Group:
 
 @cache
 def default_metadata(dtype: str) -> dict[str, Any]:
-    """Metadata that the installed version of Zarr gives an array of a type that :func:`create_array` creates."""
+    """Metadata that the installed version of Zarr gives to an array of this type from :func:`create_array`."""
     group = zarr.open_group(MemoryStore(), mode="w", zarr_format=3)
     blank = create_array(group, "blank", Variable(("draw",), dtype, {}), extent=((1,), (1,)))
     return blank.metadata.to_dict()
 
 
 def expected_metadata(variable: Variable, extent: Extent) -> dict[str, Any]:
-    """All metadata that the array of a variable has if it is as it was created."""
+    """All metadata that the array of a variable has when it is created."""
     shape, chunks = extent
     variable_metadata = {
         "shape": shape,
@@ -160,7 +160,7 @@ def checked_array(
         any_draw_count: Whether the array may have another number of draws than the extent.
 
     Raises:
-        ConfigError: The array is absent or different.
+        ConfigError: The array is absent, or its metadata have changed.
     """
     shape, chunks = extent
     try:
@@ -210,7 +210,7 @@ def checked_arrays(
 
 
 def require_coordinates(folder: Path, study: Study) -> None:
-    """Refuse a results folder whose coordinates, which other programs read, are not the study's.
+    """Refuse a results folder whose coordinates are not those of the study; other programs read these coordinates.
 
     Raises:
         ConfigError: A coordinate differs from the study's.
@@ -234,7 +234,7 @@ def has_all_arrays(folder: Path, study: Study, layout: Layout) -> bool:
     """Whether an earlier run, with any number of draws, has created all arrays.
 
     Raises:
-        ConfigError: The store is damaged, and already holds draws.
+        ConfigError: The store is damaged, although it already holds draws.
     """
     try:
         checked_arrays(folder, study, layout, any_draw_count=True)

@@ -1,4 +1,4 @@
-"""Reading and writing of a results folder block by block; each block is a chunk of every variable.
+"""Reading and writing of a results folder block by block; a block is one chunk of every variable.
 
 Each chunk is written to a temporary file and moved to its final name. The digests of the block are written last. A
 block is complete if the values of its chunks match the digests.
@@ -24,11 +24,11 @@ from dssc_jax.study import Study
 
 @contextmanager
 def report_write_errors(folder: Path, held_folder: HeldFolder | None = None) -> Iterator[None]:
-    """Turn a full disk, or another error of writing within the context, into a message of one line.
+    """Turn an error of writing within the context, such as a full disk, into a ConfigError with one line.
 
     Args:
         folder: The results folder, for messages.
-        held_folder: The folder in which the writer began; None: the folder is not compared with it.
+        held_folder: The folder in which the writer began, which must still be in place; None: no such check.
 
     Raises:
         ConfigError: The folder cannot be written, or another folder has taken its place.
@@ -58,7 +58,7 @@ class Chunks:
         mode: ``r`` to read, ``r+`` to write.
         any_draw_count: Whether arrays may have another number of draws than the layout.
         arrays: The arrays, if they have just been created; None: they are opened.
-        held_folder: The folder in which the writer began, which is compared before each write; None: no comparison.
+        held_folder: The folder in which the writer began, which must be in place at each write; None: no such check.
 
     Raises:
         ConfigError: An array is absent or differs from its creation.
@@ -82,7 +82,7 @@ class Chunks:
         self.held_folder = held_folder
 
     def write(self, block: Block, results: Arrays, law_values: Arrays) -> None:
-        """Write a block, or the added draws at its end, and then the digests.
+        """Write a block, or the draws that are added at its end, and then the digests.
 
         Args:
             block: The block.
@@ -107,7 +107,7 @@ class Chunks:
             The remaining blocks, and the files of blocks that must be computed again as a whole.
 
         Raises:
-            ConfigError: There is a folder in the place of a chunk or its digests.
+            ConfigError: There is a folder in the place of a chunk, or of the file with a block's digests.
         """
         blocks: list[Block] = []
         obsolete_files: list[Path] = []
@@ -151,7 +151,7 @@ class Chunks:
             raise incomplete_error(self.folder, missing, sum(map(lanes_in, blocks)))
 
     def require_written(self, dataset: xr.Dataset, seal: str | None) -> None:
-        """Refuse a dataset whose values are not the values that were written, by their digests.
+        """Refuse a dataset with values that do not match the digests of the written values.
 
         Args:
             dataset: The dataset, as :meth:`read` filled it.
@@ -170,7 +170,7 @@ class Chunks:
             raise ConfigError(str(self.folder / DIGESTS), f"is damaged: these are not the run's digests; {RESUME_HINT}")
 
     def _digested_ranges(self, block: Block) -> list[DrawRange]:
-        """Ranges of a block's draws with stored digests; empty unless they follow each other from the first draw on."""
+        """Ranges of a block's draws with stored digests; empty unless they cover the first draws without a gap."""
         ranges = stored_ranges(self.folder, self.layout.index(block))
         draws = block[-1]
         end = draws.start  # of the draws that are covered so far
@@ -189,7 +189,7 @@ class Chunks:
         Args:
             block: The block.
             ranges: Digests of the block.
-            values: Variables by name, which can be indexed by the block.
+            values: All values of each variable by name; the block selects a part of them.
         """
         for draw_range in ranges:
             part = (*block[:-1], slice(*draw_range.draws))
@@ -205,7 +205,7 @@ class Chunks:
     def _variables_of(self, block: Block) -> list[str]:
         """Names of the variables that are stored with a block.
 
-        Drawn numbers are the same at all points of a sweep, and are stored with the first block of their draws.
+        Drawn numbers are the same at all points of a sweep. They are stored with the first block of their draws only.
         """
         is_first_of_draws = all(part.start == 0 for part in block[:-1])
         if is_first_of_draws:
@@ -213,7 +213,7 @@ class Chunks:
         return [name for name in self.arrays if name not in self.law_names]
 
     def _part(self, name: str, block: Block) -> Block:
-        """The part of a variable's array that belongs to a block; drawn numbers have the dimension of draws only."""
+        """Slices of a variable's array that belong to a block; drawn numbers have only the dimension of draws."""
         return block[-1:] if name in self.law_names else block
 
     def _file(self, name: str, block: Block) -> Path:
@@ -225,11 +225,11 @@ class Chunks:
 
 
 def missing_part(block: Block, ranges: list[DrawRange]) -> Block:
-    """The part of a block whose draws are not covered by its digests; empty if all are.
+    """The part of a block whose draws have no digests; it has no draws if all draws have digests.
 
     Args:
         block: The block.
-        ranges: Digests of its draws, from the first on without a gap.
+        ranges: Digests of the block's draws, from the first draw on without a gap.
     """
     draws = block[-1]
     start = draws.start

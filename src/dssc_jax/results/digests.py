@@ -1,8 +1,8 @@
 """Digests of the blocks of a results folder, which detect altered and misplaced data.
 
-Each block has a small JSON file with its position and the SHA-256 digest of each variable's values. The file is written
-after the chunks, and so marks the block as complete. Several processes may write, each for blocks of its own. The
-manifest of a finished run contains a digest over all blocks.
+Each block has a small JSON file with the block's position and the SHA-256 digest of each variable's values. This file
+is written after the chunks, and so marks the block as complete. Several processes may write, each for blocks of its
+own. The manifest of a finished run contains a digest over all blocks.
 """
 
 import hashlib
@@ -40,7 +40,7 @@ def digest_of(values: np.ndarray, context: str = "") -> str:
 
     Args:
         values: The array.
-        context: Further text that the digest covers.
+        context: Further text that the digest covers, such as the attributes of the array.
     """
     little_endian = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
     head = f"{values.shape} {little_endian.dtype.str} {context}\n"
@@ -50,8 +50,12 @@ def digest_of(values: np.ndarray, context: str = "") -> str:
 def digest_file(folder: Path, index: Index) -> Path:
     """Path of the file with the digests of a block.
 
+    Args:
+        folder: The results folder.
+        index: Position of the block.
+
     Raises:
-        ConfigError: There is a folder in its place.
+        ConfigError: There is a folder in the place of the file.
     """
     file = folder / DIGESTS / f"{'.'.join(map(str, index))}.json"
     if file.is_dir():
@@ -60,7 +64,7 @@ def digest_file(folder: Path, index: Index) -> Path:
 
 
 def digest_content(folder: Path, index: Index) -> Any:
-    """Content of the file with the digests of a block, unchecked; None if it is absent or not JSON."""
+    """Unchecked content of the file with the digests of a block; None if the file is absent or not JSON."""
     try:
         return json.loads(files.read_text(digest_file(folder, index)))
     except (OSError, ValueError, RecursionError):
@@ -85,9 +89,9 @@ def stored_ranges(folder: Path, index: Index) -> list[DrawRange]:
 
 
 def add_range(folder: Path, index: Index, addition: DrawRange) -> None:
-    """Write the digests of a range of draws behind the digests of the block's earlier draws.
+    """Store the digests of a range of draws, after the digests of the block's earlier draws.
 
-    Stored digests of draws that the range contains, or that lie behind it, are dropped.
+    Stored ranges that reach into the new range, or lie after it, are dropped.
 
     Args:
         folder: The results folder.

@@ -1,4 +1,4 @@
-"""Export of a result: a table as CSV or Parquet, or the dataset as netCDF or for MATLAB, with units and meanings."""
+"""Export of a result with units and meanings: a table as CSV or Parquet, or the dataset as netCDF or for MATLAB."""
 
 import importlib
 import io
@@ -55,7 +55,7 @@ ANALYSIS_FILES = {
 REQUIRED_PACKAGES = {Format.CSV: (), Format.PARQUET: ("pyarrow",), Format.NETCDF: ("h5netcdf", "h5py"), Format.MAT: ()}
 """Optional packages that each format needs."""
 DATATYPES = {"i": "integer", "u": "integer", "b": "boolean", "U": "string", "O": "string", "f": "double"}
-"""Datatypes of "CSV on the Web" by NumPy's kinds."""
+"""Datatypes of "CSV on the Web", by the kind of a NumPy type."""
 
 
 class ExportTable(NamedTuple):
@@ -75,11 +75,11 @@ class ExportTable(NamedTuple):
 def export(result: Result | Analysis, to: Format | str, out: str | Path | None = None) -> list[Path]:
     """Write a result or an analysis for other programs.
 
-    ``csv`` and ``parquet`` are tables. The table of a result has a row for each lane: swept values, draw, drawn
-    numbers, metrics, slacks and outcome. The table of an analysis has a row for each index of its own dimensions. Units
-    and meanings are in the column metadata of Parquet, and beside a CSV in ``<file>-metadata.json``, as the W3C's "CSV
-    on the Web" defines it. ``netcdf`` is the dataset itself with CF attributes, and ``mat`` has a MATLAB struct for
-    each variable.
+    ``csv`` and ``parquet`` are tables. The table of a result has a row for each lane, with swept values, draw, drawn
+    numbers, metrics, slacks and outcome. The table of an analysis has a row for each index of its own dimensions.
+    Parquet has units and meanings in the metadata of its columns. A CSV has them in ``<file>-metadata.json``, as the
+    W3C's "CSV on the Web" defines it. ``netcdf`` is the dataset itself with CF attributes, and ``mat`` has a MATLAB
+    struct for each variable.
 
     Args:
         result: A loaded or new result, or analysis.
@@ -131,10 +131,10 @@ def write_whole_file(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
 
     Args:
         path: The file; an existing file is replaced.
-        write: Writes the content into the open file.
+        write: (open file) -> writes the content into the file.
 
     Raises:
-        ConfigError: It cannot be written.
+        ConfigError: The file cannot be written.
     """
     try:
         with files.replacing(path) as file:
@@ -145,7 +145,7 @@ def write_whole_file(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
 
 
 def table_of(result: Result | Analysis) -> ExportTable:
-    """Make the table of a result, with a row for each lane, or of an analysis, with a row for each index."""
+    """Make the table of a result, with a row for each lane; or of an analysis, with a row for each index."""
     return table_of_analysis(result) if isinstance(result, Analysis) else table_of_lanes(result)
 
 
@@ -166,7 +166,7 @@ def table_of_analysis(analysis: Analysis) -> ExportTable:
 
 
 def table_of_lanes(result: Result) -> ExportTable:
-    """Make the table of a result, with a row for each lane, a draw at a point of the sweep."""
+    """Make the table of a result, with a row for each lane, that is, for each draw at each point of the sweep."""
     columns = {}
     for name, variable in (coordinates(result.study) | variables(result.study)).items():
         columns[name] = dict(variable.attributes)
@@ -193,7 +193,7 @@ def lane_rows(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
 
 
 def lane_columns(result: Result, block: Block) -> Arrays:
-    """Read the numbers and results of the lanes of a block by name, shape (lanes,) each."""
+    """Numbers and results of the lanes of a block, by name, each of shape (lanes,)."""
     study = result.study
     data = result.dataset
     law_values = {name: data[name].values[block[-1]] for name in study.laws}
@@ -265,7 +265,7 @@ def write_parquet(result: Result | Analysis, file: IO[bytes]) -> None:
 
 
 def write_netcdf(result: Result | Analysis, file: IO[bytes]) -> None:
-    """Write the dataset as compressed netCDF. It is made in memory, since HDF5 ends the process if a disk is full."""
+    """Write the dataset as compressed netCDF; it is made in memory, since HDF5 ends the process if a disk is full."""
     data = result.dataset.copy().assign_attrs(file_provenance(result))
     for variable in data.variables.values():
         is_integer = variable.dtype.kind in "iu"  # kinds of NumPy: signed, unsigned
@@ -303,8 +303,8 @@ def matlab_name(name: str, used_names: Iterable[str]) -> str:
     """Make a valid MATLAB name of at most 63 characters that is not among the used names.
 
     Args:
-        name: The name, in which an underscore replaces each character that MATLAB does not allow.
-        used_names: Names that are taken; a further variable of the same name ends with ``_v2``, ``_v3``, ...
+        name: Any name; an underscore replaces each character that MATLAB does not allow.
+        used_names: Names that are taken; a further variable of the same name gets the ending ``_v2``, ``_v3``, ...
     """
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:60]
     starts_with_letter = plain[:1].isalpha()
@@ -317,10 +317,10 @@ def matlab_name(name: str, used_names: Iterable[str]) -> str:
 
 
 def file_provenance(result: Result | Analysis) -> dict[str, str]:
-    """Collect attributes by which an exported file can be traced: the dataset's own, the study, its hash and history.
+    """Attributes by which an exported file can be traced: those of the dataset, the study, its hash and the history.
 
-    The history states the version that computed the result, and when the run started. An analysis has no manifest that
-    tells them: the version is then the one that exports, and the time is left out.
+    The history states the version that computed the result, and the time at which the run started. An analysis has no
+    manifest with this information. Its history states the version that exports, and no time.
     """
     manifest = {} if isinstance(result, Analysis) else result.manifest
     computing_version = manifest.get("versions", {}).get("dssc_jax") or version("dssc_jax")

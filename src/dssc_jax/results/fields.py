@@ -1,4 +1,4 @@
-"""The fields of an analysis as JSON, and the units and meanings of the numbers of its answer."""
+"""The fields of an analysis as JSON, and the units and meanings of the numbers in its answer."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 MERGED = "merged"
-"""Key of a field's metadata: in the JSON, the entries of this field stand beside the other fields."""
+"""Key of a field's metadata: in JSON, the entries of this field stand beside those of the other fields."""
 
 STORED_APART = "stored apart"
 """Key of a field's metadata: the field has a file or an entry of its own in the folder."""
 
 
 class FieldMeaning(NamedTuple):
-    """Unit and meaning of a number of an answer.
+    """Unit and meaning of a number in an answer.
 
     Args:
-        key: Place of the number in the JSON, with dots between the levels, ``NAME`` for a name from the study, and
-            ``[]`` after a list.
+        key: Place of the number in the JSON, with dots between the levels. ``NAME`` stands for a name from the study;
+            ``[]`` follows the name of a list.
         unit: Unit of the number; ``1`` for numbers without a unit, empty for text.
         meaning: Meaning in words.
     """
@@ -35,7 +35,7 @@ class FieldMeaning(NamedTuple):
 
 
 def stored_fields(analysis: "DataclassInstance") -> dict[str, object]:
-    """The fields of an analysis in the types of JSON, by name, without the fields that are stored apart."""
+    """Fields of an analysis in the types of JSON, by name, except fields that are stored apart."""
     stored = {}
     for name, field_type in field_types(type(analysis)).items():
         stored[name] = TypeAdapter(field_type).dump_python(getattr(analysis, name), mode="json")
@@ -43,7 +43,7 @@ def stored_fields(analysis: "DataclassInstance") -> dict[str, object]:
 
 
 def restored_fields(cls: type, stored_values: Mapping[str, object]) -> dict[str, object]:
-    """The fields of an analysis from the values that :func:`stored_fields` returned.
+    """Rebuild the fields of an analysis, by name, from the values that :func:`stored_fields` returned.
 
     Args:
         cls: Class of the analysis.
@@ -75,9 +75,9 @@ def field_types(cls: type) -> dict[str, Any]:
 
 
 def field_meanings(cls: type, prefix: str = "") -> Iterator[FieldMeaning]:
-    """Unit and meaning of each number of an answer and its parts, from the annotations of its dataclass.
+    """Yield unit and meaning of each number in an answer and its parts, from the annotations of the dataclasses.
 
-    Reports and tables show them beside the numbers.
+    Reports and tables show units and meanings beside the numbers.
 
     Args:
         cls: Dataclass of the answer, or of a part.
@@ -98,7 +98,7 @@ def field_meanings(cls: type, prefix: str = "") -> Iterator[FieldMeaning]:
 
 
 def answer_parts(hint: object) -> Iterator[tuple[type, str]]:
-    """The dataclasses in a type annotation, each with its place: ``.NAME`` in a mapping, ``[]`` in a list.
+    """Yield each dataclass in a type annotation with its place: ``.NAME`` in a mapping, ``[]`` in a list.
 
     Example:
         The parts of ``dict[str, list[Part]]`` are ``Part`` at ``.NAME[]``.

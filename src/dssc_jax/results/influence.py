@@ -10,7 +10,7 @@ from dssc_jax.results.result import Result, headline_measure
 from dssc_jax.statistics.order import upper_quantiles
 
 IDLE_CHANGE = 0.01
-"""Largest relative change of a metric's quantiles over an axis that counts as no change."""
+"""Relative change of a metric's quantiles along an axis, up to which the axis counts as without effect."""
 QUANTILES = (0.05, 0.5, 0.95)  # levels
 MAX_BINS = 8
 MIN_DRAWS_PER_BIN = 5
@@ -19,8 +19,9 @@ MIN_DRAWS_PER_BIN = 5
 def idle_axes(result: Result) -> list[str]:
     """List the swept parameters that affect no requirement.
 
-    Along such an axis, with the other swept numbers fixed, no draw changes between pass and fail, and no quantile
-    (5, 50, 95 %) of a required metric changes by more than 1 %. Without requirements, the headline metric counts.
+    Along the axis of such a parameter, with the other swept numbers fixed, no draw changes between pass and fail. No
+    quantile (5, 50, 95 %) of a required metric changes by more than 1 %. If the study has no requirements, the headline
+    metric takes the place of the required ones.
     """
     axes = [name for name in result.study.axes if result.dataset.sizes.get(name, 1) > 1]
     return [name for name in axes if is_idle(result, name)]
@@ -40,19 +41,20 @@ def is_idle(result: Result, axis: str) -> bool:
 
 
 def largest_change_of(result: Result, measure: Measure, axis: str) -> float:
-    """Compute the largest relative change of the quantiles of a measure along an axis, see :func:`largest_change`."""
+    """Compute the largest relative change of a measure's quantiles along an axis; see :func:`largest_change`."""
     return largest_change(result.dataset[measure.name], axis, measure.metric.worst)
 
 
 def largest_change(metric: xr.DataArray, axis: str, missing: float = np.inf) -> float:
     """Compute the largest relative change of a metric's quantiles along an axis.
 
-    It is infinite if a quantile is finite at some values of the axis only.
+    The change is relative to the quantile's largest magnitude along the axis, with the other axes fixed. It is infinite
+    if a quantile is finite at some values of the axis only.
 
     Args:
-        metric: The metric of each draw.
+        metric: Value of the metric in each draw at each point.
         axis: Name of the axis.
-        missing: Replaces NaN, which stands for a draw without a value.
+        missing: Value in place of NaN, which stands for a draw without a value.
     """
     metric_values = metric.transpose(axis, ..., "draw").values
     quantiles = upper_quantiles(metric_values, QUANTILES, missing)  # shape (levels, values of the axis, ...)
@@ -73,7 +75,7 @@ def idle_text(result: Result) -> str:
 
 
 def idle_axis_text(result: Result, axis: str) -> str:
-    """State that an axis affects no requirement, and which other metric changes most along it, if any changes."""
+    """State that an axis affects no requirement, and which metric changes most along the axis, if any changes."""
     changes = {measure.name: largest_change_of(result, measure, axis) for measure in result.study.measures}
     if max(changes.values()) <= IDLE_CHANGE:
         limit = f"{100 * IDLE_CHANGE:g} %"
@@ -86,7 +88,8 @@ def idle_axis_text(result: Result, axis: str) -> str:
 def equal_count_bins(values: np.ndarray) -> list[np.ndarray]:
     """Split the draws into bins of nearly equal size by increasing value; return the indices of each bin's draws.
 
-    Draws of equal values share a bin. Few values that repeat, such as those of a ``choice``, have a bin each.
+    Draws of equal values share a bin. If there are only a few different values, as with the law ``choice``, each value
+    has a bin of its own.
 
     Args:
         values: Value of the number in each draw, shape (draws,).
@@ -103,10 +106,12 @@ def equal_count_bins(values: np.ndarray) -> list[np.ndarray]:
 
 
 def equal_count_cuts(first_places: np.ndarray, draws: int) -> np.ndarray:
-    """Places in the sorted draws at which bins of nearly equal size begin, without the first; they separate no ties.
+    """Places in the sorted draws at which the second and all further bins begin.
+
+    The bins are of nearly equal size, and draws of equal values stay together.
 
     Args:
-        first_places: Place at which each value begins, ascending from 0.
+        first_places: Place in the sorted draws at which each different value begins, ascending from 0.
         draws: Number of draws.
     """
     bins = max(1, min(MAX_BINS, draws // MIN_DRAWS_PER_BIN))
@@ -123,9 +128,9 @@ def equal_count_cuts(first_places: np.ndarray, draws: int) -> np.ndarray:
 def influence(result: Result, name: str) -> float:
     """Estimate the share of the variance of failure that an uncertain number explains, in [0, 1].
 
-    The share is the correlation ratio over bins of the number, less the share that as many bins explain by chance. If
-    no draw fails, or all fail, the ranks of the headline metric take the place of failure; a draw without a value
-    counts as the metric's worst.
+    The share is the correlation ratio over bins of the number, minus the share that as many bins explain by chance. If
+    no draw or every draw fails, the ranks of the headline metric take the place of failure. A draw without a value of
+    this metric then counts as the metric's worst value.
 
     Args:
         result: A run, or a point of a sweep (:meth:`Result.at`).
@@ -149,7 +154,7 @@ def mean_ranks(values: np.ndarray, missing: float) -> np.ndarray:
 
     Args:
         values: Value of each draw, shape (draws,).
-        missing: Replaces NaN.
+        missing: Value in place of NaN.
 
     Example:
         >>> mean_ranks(np.array([5.0, np.nan, 7.0, np.nan]), -np.inf)

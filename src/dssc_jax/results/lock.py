@@ -16,13 +16,13 @@ HOLDER = ".writer.json"  # file with a description of the process that holds the
 
 
 def take(folder: Path) -> FileLock:
-    """Lock a folder for this process, until ``release`` of the lock is called or the process ends.
+    """Lock a folder for this process, until the lock's ``release`` is called or the process ends.
 
     Args:
         folder: An existing folder.
 
     Raises:
-        ConfigError: Another process holds the lock; the message says which.
+        ConfigError: Another process holds the lock; the message describes this process.
         OSError: The folder cannot be locked, or something other than a file is in the place of the lock.
     """
     files.require_replaceable(folder / LOCK)
@@ -46,7 +46,7 @@ def take(folder: Path) -> FileLock:
 
 
 def describe_holder(folder: Path) -> str:
-    """Text on the process that locked the folder last: its number, its host and the time; for messages."""
+    """Text about the process that locked the folder last, for messages: its number, its host and the time."""
     try:
         process = json.loads(files.read_text(folder / HOLDER))
         return f"process {process['process']} on {process['host']} since {process['since']}"

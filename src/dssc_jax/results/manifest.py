@@ -49,13 +49,13 @@ EXTENSIBLE = ("random", "sobol")
 
 
 def write_json(path: Path, content: object, within: Path | None = None, durable: bool = True) -> None:
-    """Write a JSON file completely, or not at all; errors as for :func:`dssc_jax.core.files.replacing`.
+    """Write a JSON file completely or not at all; raises the errors of :func:`dssc_jax.core.files.replacing`.
 
     Args:
         path: The file.
-        content: Its content.
-        within: The folder below which no part of the path may be a symbolic link; None: only the file itself may not.
-        durable: Flush file and folder to disk, so that not even a power cut leaves a part.
+        content: Content of the file.
+        within: Folder below which no part of the path may be a symbolic link; None: only the file itself must be none.
+        durable: Whether to flush file and folder to disk, so that not even a power cut leaves a partial file.
     """
     files.write_text(path, [json.dumps(content, indent=2), "\n"], within, durable)
 
@@ -73,7 +73,7 @@ def unseal(path: Path, content: object) -> JsonObject:
         content: Content of the file.
 
     Raises:
-        ConfigError: The content has another schema version, or it does not match its digest.
+        ConfigError: The content has another schema version or none, or does not match its digest.
     """
     if not isinstance(content, dict) or "schema" not in content:
         raise ConfigError(str(path), f"is damaged, or of another version: it has no schema version; {REMEDY}")
@@ -122,14 +122,14 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def require_valid_fields(path: Path, manifest: Manifest) -> None:
-    """Refuse a manifest in which a field that a summary reads, besides the study, is missing or of another type.
+    """Refuse a manifest in which a field that a summary reads is missing or of another type; the study is not checked.
 
     Args:
-        path: The manifest, for messages.
-        manifest: Its content.
+        path: File of the manifest, for messages.
+        manifest: Content of the manifest.
 
     Raises:
-        ConfigError: A field is invalid; the message names it and gives the rule.
+        ConfigError: A field is not valid; the message has the field and the rule.
     """
     for name, value in manifest["times"].items():
         if not is_number(value):
@@ -148,15 +148,15 @@ def require_valid_fields(path: Path, manifest: Manifest) -> None:
 
 
 def require_looks(path: Path, looks: object, stops: object) -> None:
-    """Refuse looks of a stopping rule that are not valid.
+    """Refuse a manifest whose looks of a stopping rule are not valid.
 
     Args:
-        path: The manifest, for messages.
-        looks: The looks that were taken, each with its draws, thresholds and failures.
-        stops: Largest number of looks.
+        path: File of the manifest, for messages.
+        looks: The looks that were taken, each with its number of draws, its thresholds and its failures.
+        stops: Largest possible number of looks.
 
     Raises:
-        ConfigError: A look or their number is not valid.
+        ConfigError: A look, or the number of looks, is not valid.
     """
     if not isinstance(looks, list) or not looks or not isinstance(stops, int) or stops < len(looks):
         rule = f"is damaged: stopping must have one or more looks and at most `stops`, got {looks!r} and {stops!r}"
@@ -171,10 +171,10 @@ def require_fields(path: Path, name: str, table: object, fields: tuple[str, ...]
     """Refuse an entry of a manifest that is not a table with certain fields.
 
     Args:
-        path: The manifest, for messages.
+        path: File of the manifest, for messages.
         name: Name of the entry.
-        table: The entry.
-        fields: Names of the fields.
+        table: Content of the entry.
+        fields: Names of the required fields.
 
     Raises:
         ConfigError: The entry is not a table, or lacks a field.
@@ -184,13 +184,13 @@ def require_fields(path: Path, name: str, table: object, fields: tuple[str, ...]
 
 
 def stored_layout(folder: Path, study: Study, manifest: Manifest, draws: int | None = None) -> Layout:
-    """The layout of a study's grid, with the blocks in a manifest.
+    """The layout of a study's grid, with the shape of blocks that a manifest states.
 
     Args:
         folder: The results folder, for messages.
-        study: The study, which may have more draws than the manifest's.
+        study: The study, which may have more draws than the study in the manifest.
         manifest: The manifest.
-        draws: Number of draws in the manifest's study; None: as many as the study has.
+        draws: Number of draws of the study in the manifest; None: as many as ``study`` has.
 
     Raises:
         ConfigError: The layout in the manifest does not match the manifest's study.
@@ -213,12 +213,12 @@ def is_list_of_counts(value: object) -> bool:
 
 
 def differences(stored: object, present: object, path: str = "") -> list[str]:
-    """Lines that tell the differences between two nested tables, one for each value that differs.
+    """Describe the differences between two nested tables, in one line for each value that differs.
 
     Args:
         stored: The stored table or value.
         present: The present table or value.
-        path: Dotted name of both; empty for the outermost tables.
+        path: Dotted name under which both stand; empty for the outermost tables.
     """
     if isinstance(stored, dict) and isinstance(present, dict):
         lines = []
@@ -229,7 +229,7 @@ def differences(stored: object, present: object, path: str = "") -> list[str]:
 
 
 def listed(lines: list[str], limit: int = 3) -> str:
-    """The first differences in one line, with the number of the others."""
+    """The first ``limit`` lines in one line, followed by the number of the others."""
     parts = lines[:limit]
     if len(lines) > limit:
         parts.append(f"and {len(lines) - limit} more")
@@ -267,7 +267,7 @@ def require_startable(folder: Path, study: Study, resume: bool) -> None:
 
 
 def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: bool) -> None:
-    """Refuse a folder with the results of another study; a run that resumes it may ask for more draws.
+    """Refuse a folder with the results of another study; a run that resumes the folder may ask for more draws.
 
     Args:
         folder: The folder, for messages.
@@ -317,9 +317,9 @@ def asks_for_more_draws(manifest: Manifest, study: Study) -> bool:
 
 
 def code_entries(study: Study) -> Manifest:
-    """Entries of a manifest on a study's own code: files, digests, and descriptions for readers without the code.
+    """Entries of a manifest about a study's own code: files, digests, and a description for readers without the code.
 
-    Empty for a study that uses only models of the package.
+    The result is empty for a study that uses only models of the package.
     """
     if isinstance(study, Described):
         return {"code": study.code, "described": study.description.model_dump(mode="json")}
@@ -331,17 +331,18 @@ def code_entries(study: Study) -> Manifest:
 
 
 def machinery_differences(stored: Manifest, present: Manifest) -> list[str]:
-    """Lines that tell the differences between two manifests that may change the last digits of a result.
+    """Describe differences between two manifests that may change the last digits of a result, in a line each.
 
-    They concern the versions of numerical packages, device, compiler settings and the user's code. A file of code that
-    the stored manifest does not name is no difference: older manifests lack the modules that the user's modules import.
+    The lines concern versions of numerical packages, device, compiler settings and the user's code. A file of code that
+    the stored manifest does not name counts as no difference: older manifests lack the modules that a user's modules
+    import.
     """
     known_code = {name: module for name, module in present.get("code", {}).items() if name in stored.get("code", {})}
     return differences(machinery(stored), machinery({**present, "code": known_code}))
 
 
 def machinery(manifest: Manifest) -> dict[str, object]:
-    """The entries of a manifest on what may change the last digits of a result, for a comparison."""
+    """The entries of a manifest that may change the last digits of a result, for a comparison."""
     versions = manifest.get("versions", {})
     return {
         "versions": {name: versions.get(name) for name in NUMERICAL_PACKAGES},
@@ -352,7 +353,7 @@ def machinery(manifest: Manifest) -> dict[str, object]:
 
 
 def require_same_machinery(folder: Path, stored: Manifest, present: Manifest) -> None:
-    """Refuse to continue a run with other versions, device, compiler settings or code than it began with.
+    """Refuse to continue a run with other versions, device, compiler settings or code than the run began with.
 
     Args:
         folder: The results folder, for messages.
@@ -360,7 +361,7 @@ def require_same_machinery(folder: Path, stored: Manifest, present: Manifest) ->
         present: Manifest of the run that resumes it.
 
     Raises:
-        ConfigError: One of them differs, which may change rounding.
+        ConfigError: One of these differs, so that rounding may differ.
     """
     lines = machinery_differences(stored, present)
     if lines:

@@ -2,7 +2,7 @@
 
 Messages are Protocol Buffers. Poses, vectors and the log have the schemas of Foxglove. Each topic of signals has a
 schema with a field for each signal. Time 0 of the trajectory is time 0 of the file. The frame ``world`` is the
-inertial frame of the model, z up; ``vehicle`` has the axes forward, left, up of the body.
+inertial frame of the model, with z up. The frame ``vehicle`` has the axes forward, left and up of the body.
 
 Sources: MCAP format specification; Foxglove schemas (PoseInFrame, PosesInFrame, FrameTransform, Vector3, Log).
 """
@@ -83,7 +83,7 @@ def messages_of(trajectory: xr.Dataset) -> Iterator[TimedMessage]:
 
 
 def pose_messages(columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[TimedMessage]:
-    """Messages on the flight of a vehicle: pose and transform at each sample, the whole path, and the desired poses.
+    """Make the messages on the flight of a vehicle: pose and transform at each sample, the path, and desired poses.
 
     Args:
         columns: Signals of the trajectory by name, each of shape (samples,).
@@ -117,7 +117,7 @@ def pose_messages(columns: Mapping[str, np.ndarray], times: np.ndarray) -> Itera
 
 
 def desired_pose_messages(positions: np.ndarray, times: np.ndarray) -> Iterator[TimedMessage]:
-    """The desired pose at each sample at which its position is finite.
+    """Make a message with the desired pose, without rotation, at each sample with a finite desired position.
 
     Args:
         positions: Desired positions [m], shape (samples, 3).
@@ -143,11 +143,11 @@ def set_quaternion(quaternion: Any, values: np.ndarray) -> None:
 
 
 def vector_messages(topic: str, components: list[np.ndarray], times: np.ndarray) -> Iterator[TimedMessage]:
-    """The messages of a vector, at each sample at which all its components are finite.
+    """Make the messages of a vector, at each sample at which all components are finite.
 
     Args:
-        topic: The topic.
-        components: x, y and z, each of shape (samples,).
+        topic: Topic of the messages.
+        components: The components x, y and z, each of shape (samples,).
         times: Times of the samples [ns], shape (samples,).
     """
     vectors = np.stack(components, axis=1)
@@ -157,10 +157,10 @@ def vector_messages(topic: str, components: list[np.ndarray], times: np.ndarray)
 
 
 def signal_topics(names: list[str]) -> dict[str, dict[str, str]]:
-    """The topics of a trajectory's signals, each with the signal of each of its fields.
+    """Sort the signals of a trajectory into topics: for each topic, the name of the signal by the name of its field.
 
     Signals of a channel are on ``/x``, ``/y`` and so on, signals of rotors on ``/rotors``, all others on ``/signals``.
-    A channel is a prefix x for which ``x_y_ref`` is among the names.
+    A prefix x is a channel if ``x_y_ref`` is among the names.
 
     Example:
         >>> signal_topics(["x_y", "x_y_ref", "rotor_1", "tilt"])
@@ -180,11 +180,11 @@ def signal_topics(names: list[str]) -> dict[str, dict[str, str]]:
 
 
 def signal_messages(topic: str, columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[TimedMessage]:
-    """The messages with the signals of a topic, at each sample; NaN once the draw has ended.
+    """Make the messages with the signals of a topic, at each sample; values are NaN once the draw has ended.
 
     Args:
-        topic: The topic.
-        columns: Values of each field, shape (samples,) each.
+        topic: Topic of the messages.
+        columns: Values of each field, each of shape (samples,).
         times: Times of the samples [ns], shape (samples,).
     """
     message_type = signal_type(topic.strip("/"), list(columns))
@@ -224,7 +224,7 @@ def signal_type(name: str, fields: list[str]) -> type[Any]:
 
 
 def log_messages(trajectory: xr.Dataset) -> Iterator[TimedMessage]:
-    """The log: study and draw, the times at which a violation of a requirement was certain, and how the draw ended."""
+    """Make the log: study and draw, the times from which on violations were certain, and how the draw ended."""
     attributes = trajectory.attrs
     end = float(trajectory["t"].values[-1])
     title = f"{attributes.get('study', '')}, draw {attributes.get('draw', '')}"

@@ -1,4 +1,4 @@
-"""Draws without a value of a metric in the summary of a point: as what they count, and what None stands for."""
+"""Draws that have no value of a metric: what they count as in a summary, and what its None stands for."""
 
 import math
 from collections.abc import Callable
@@ -7,18 +7,19 @@ from dssc_jax.results.summary import QUANTILES, SummaryRow, quantile_name
 from dssc_jax.study import Study
 
 REASONS = {"ended_early": "ended early", "undefined": "ran to the end"}
-"""Counts of draws without a value in the summary of a metric, and what these draws have in common."""
+"""Entries with counts of draws without a value in a metric's summary, and a text on what happened to these draws."""
 
 
 def quantile_value(quantiles: SummaryRow, level: str, worst: float) -> float:
-    """A quantile of a metric as a number: the infinite value that None stands for has its sign.
+    """A quantile of a metric as a number, with the right infinite value in place of None.
 
-    The sign is known if another quantile is finite. Otherwise the value is that of draws without one.
+    If a lower quantile is finite, the value is inf. If a higher one is finite, the value is -inf. Otherwise it is
+    ``worst``, or inf if ``worst`` is finite.
 
     Args:
         quantiles: Entry of a metric in the summary of a point.
         level: Name of the quantile, such as ``q50``.
-        worst: What draws without a value count as, :attr:`Metric.worst`.
+        worst: Value that a draw without a value counts as, :attr:`Metric.worst`.
     """
     value = quantiles[level]
     if value is not None:
@@ -33,12 +34,12 @@ def quantile_value(quantiles: SummaryRow, level: str, worst: float) -> float:
 
 
 def without_value_texts(study: Study, point: SummaryRow, number: Callable[[float], str]) -> list[str]:
-    """Sentences on the draws of a point that have no value of a metric: how many, why, and as what they count.
+    """Sentences on the draws of a point that have no value of a metric: how many, why, and what they count as.
 
     Args:
         study: The study.
         point: Summary of the point.
-        number: Formats what a draw counts as.
+        number: (value that a draw counts as) -> text.
 
     Example of a sentence:
         75 draws that ended early have no value, and count as inf, but as -inf in lowest_y
@@ -60,7 +61,7 @@ def without_value_texts(study: Study, point: SummaryRow, number: Callable[[float
 
 
 def worsts_text(names_by_worst: dict[float, list[str]], number: Callable[[float], str]) -> str:
-    """Tell as what draws count: the most frequent value, and the others with the names of their metrics."""
+    """Text on what draws count as: the value of most metrics, then other values with the names of their metrics."""
     ordered = sorted(names_by_worst, key=lambda worst: -len(names_by_worst[worst]))
     first, *others = ordered
     texts = [number(first)]

@@ -17,7 +17,7 @@ PROOFS_FILE = "proofs.json"
 
 
 class Bound(NamedTuple):
-    """A bound that the proof of a vehicle states, and where the proof's summary has it.
+    """A bound that the proof of a vehicle states, and its place in the summary of the proof.
 
     Args:
         label: Name of the bounded quantity.
@@ -30,7 +30,7 @@ class Bound(NamedTuple):
     entries: tuple[str, ...]
 
     def of(self, content: JsonObject) -> float:
-        """The value of the bound, from the ``bounds`` of a proof's summary."""
+        """The value of the bound, from the entry ``bounds`` of a proof's summary."""
         *parents, leaf = self.entries
         for parent in parents:
             content = content[parent]
@@ -56,8 +56,8 @@ class SweepProofs:
         study_hash: Hash of the study.
         axes: Values of each swept parameter.
         points: Summary of the proof of each point; the last axis varies fastest.
-        certificates: Certificate of each point.
-        seconds: Computing time [s].
+        certificates: Certificate of each point, in the same order.
+        seconds: Computing time of all proofs [s].
     """
 
     study_hash: str
@@ -68,12 +68,12 @@ class SweepProofs:
 
     @property
     def proved(self) -> np.ndarray:
-        """Whether each point is proved for all its plants, shape (axes...)."""
+        """Whether each point is proved for all plants that are possible there, shape (axes...)."""
         return self._by_axes([point["proved"] for point in self.points])
 
     @property
     def error(self) -> np.ndarray:
-        """Proved upper bound of |e| [m] once settled, shape (axes...); NaN where the point is not proved."""
+        """Proved upper bound of |e| [m] in the settled loop, shape (axes...); NaN where the point is not proved."""
         return self._by_axes([point["error"] if point["proved"] else np.nan for point in self.points])
 
     @property
@@ -90,7 +90,7 @@ class SweepProofs:
     def bounds(self) -> dict[str, np.ndarray]:
         """The bounds that a vehicle never exceeds, by label, in the units of :data:`BOUNDS`, each of shape (axes...).
 
-        NaN where the point is not proved. Empty for loops without a vehicle.
+        A bound is NaN where the point is not proved. The result is empty for loops without a vehicle.
         """
         if not any(VEHICLE_BOUNDS in point for point in self.points):
             return {}
@@ -101,10 +101,10 @@ class SweepProofs:
         return arrays
 
     def require_complete(self) -> None:
-        """Refuse proofs without exactly one point, with all its fields, for each combination of the axes' values.
+        """Require exactly one point, with all its fields, for each combination of the axes' values.
 
         Raises:
-            ValueError: There are more or fewer points.
+            ValueError: There are more or fewer points than combinations.
             TypeError, KeyError: A point lacks a field.
         """
         _ = self.error  # reading them raises
@@ -122,9 +122,9 @@ class SweepProofs:
 
 
 def read_proofs(folder: Path, study: Study) -> SweepProofs | None:
-    """Read the proofs in a results folder; None if there are none, or if they belong to another study.
+    """Read the proofs in a results folder; None if the folder has no proofs, or if they belong to another study.
 
-    No certificate is verified here; ``dssc-jax prove FOLDER/proofs.json`` verifies all of them.
+    This function verifies no certificate; ``dssc-jax prove FOLDER/proofs.json`` verifies all of them.
 
     Raises:
         ConfigError: The file is damaged.

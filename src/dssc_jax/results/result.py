@@ -57,7 +57,7 @@ class Result:
             the swept parameters and ``draw``.
         manifest: Study, versions, device, counts and times.
         path: The results folder, if the result has been saved.
-        point_proofs: Proofs of the points of the sweep, if there are any.
+        point_proofs: Proofs of the points of the sweep; None: there are none.
     """
 
     study: Study
@@ -68,11 +68,11 @@ class Result:
 
     @classmethod
     def of(cls, study: Study, dataset: xr.Dataset, manifest: Manifest, path: Path | None = None) -> "Result":
-        """The result of a study, with the proofs in its folder, if there are any.
+        """Make the result of a study, with the proofs in the results folder, if there are any.
 
         Args:
             study: The study as run.
-            dataset: The dataset; see the class.
+            dataset: The dataset, as the class describes it.
             manifest: Study, versions, device, counts and times.
             path: The results folder; None: the result has not been saved.
         """
@@ -81,7 +81,7 @@ class Result:
         return result if proofs is None else result.with_proofs(proofs)
 
     def with_proofs(self, proofs: SweepProofs) -> "Result":
-        """The result with proofs of its points; the dataset has the coordinates ``proved`` and ``proved_error``."""
+        """Add proofs of the points, with the coordinates ``proved`` and ``proved_error`` of the dataset."""
         claim = proofs.claim
         proved_attributes = {
             "long_name": f"proved for {claim.covered}, with lag and sampling",
@@ -100,10 +100,10 @@ class Result:
         return replace(self, dataset=self.dataset.assign_coords(coordinates), point_proofs=proofs)
 
     def with_theorem(self) -> "Result":
-        """The result with the coordinate ``certified`` where Theorem 1 applies to the loop.
+        """Add the coordinate ``certified`` to the dataset, if Theorem 1 applies to the loop.
 
-        It is true at each point at which the theorem holds for the loop without unmodelled dynamics, sensors and
-        sampling, and with a rho that keeps sliding.
+        The coordinate is true at each point at which the theorem holds for the loop without unmodelled dynamics,
+        sensors and sampling, and with a rho that keeps sliding.
         """
         if "certified" in self.dataset or self._mark is None or self._mark.certified is None:
             return self
@@ -113,7 +113,7 @@ class Result:
 
     @cached_property
     def _mark(self) -> "Mark | None":
-        """Theorem 1's verdict on each point, computed once; None if the theorem does not concern the loop."""
+        """Theorem 1's verdict on each point, computed once; None if no controller has the functions of Table 1."""
         return theorem_mark(self.study)
 
     @property
@@ -138,7 +138,7 @@ class Result:
 
     @property
     def theorem(self) -> str:
-        """The result of Theorem 1 for the loop, in one line; empty without the functions of Table 1."""
+        """The result of Theorem 1 for the loop, in one line; empty if no controller has the functions of Table 1."""
         dataset = self.with_theorem().dataset
         if "certified" not in dataset:
             return f"Theorem 1 does not apply: {self._mark.reason}" if self._mark else ""
@@ -153,16 +153,16 @@ class Result:
         return self.dataset["outcome"] != Outcome.OK
 
     def at(self, index: Mapping[str, int]) -> "Result":
-        """The result at an index of some swept parameters; the others remain dimensions of the dataset.
+        """Select one value of some swept parameters; the other ones remain dimensions of the dataset.
 
         Args:
-            index: Index of the value, by the name of the parameter.
+            index: Index of the selected value, by the name of the parameter.
         """
         return Result(self.study, self.with_theorem().dataset.isel(index), self.manifest)
 
     @property
     def method(self) -> Method:
-        """The method of the intervals, which follows from the design of the draws and their stopping rule."""
+        """The method of the intervals, which follows from the stopping rule, or else from the design of the draws."""
         stopping = self.manifest.get("stopping")
         if not stopping:
             return interval_method(self.study)
@@ -173,9 +173,9 @@ class Result:
         """Failures with intervals of each point of the sweep and each requirement, and quantiles of the metrics.
 
         ``failures`` of a point counts the draws that fail in any way; ``failures`` of a requirement counts all draws
-        that violate it. A draw that ended early violates every requirement. ``ended_early`` counts these draws;
-        ``alone`` and ``overlaps`` count only the others. In the quantiles of a metric, a draw without a value counts as
-        the worst: -inf if large values are good, inf otherwise. An infinite quantile is None.
+        that violate the requirement. A draw that ended early violates every requirement. ``ended_early`` counts these
+        draws; ``alone`` and ``overlaps`` count only the others. In the quantiles of a metric, a draw without a value
+        counts as the worst value: -inf if large values are good, inf otherwise. An infinite quantile is None.
         Intervals of quantiles are order statistics, which hold for independent draws only.
 
         Args:
@@ -191,10 +191,11 @@ class Result:
 
     @property
     def has_equal_draws(self) -> bool:
-        """Whether all draws are the same, since nothing in the study is random; then an interval has no meaning.
+        """Whether all draws are the same because nothing in the study is random; an interval then has no meaning.
 
-        No number has a law, and all draws have the same outcome and metrics. At least one metric is not a whole number:
-        counts may agree by chance, but noise, turbulence or a random disturbance would change such a metric.
+        The draws count as the same if no number has a law, all draws have equal outcomes and metrics, and at least one
+        metric is not a whole number. Counts may agree by chance, but noise, turbulence or a random disturbance would
+        change such a metric.
         """
         if self.study.laws or self.study.config.draws < 2:
             return False
@@ -208,20 +209,20 @@ class Result:
 
     @property
     def design_effect(self) -> DesignEffect | None:
-        """Gain of the design over independent draws; None if the draws are independent, swept, or all agree."""
+        """Gain of the design over independent draws; None for independent draws, for a sweep, or if all draws agree."""
         if self.method.independent or self.study.axes:
             return None
         return design_effect(self.failed.values, self.study.config.replicates)
 
     @property
     def design_reason(self) -> str:
-        """Reason for which the design of the draws was chosen automatically; empty if the study names the design."""
+        """Reason for the automatic choice of the draws' design; empty if the study names the design."""
         entry = self.manifest.get("design")
         return f"{entry['reason']}; the choice took {entry['pilot']} simulations" if entry else ""
 
     @property
     def stated(self) -> StatedAmounts | None:
-        """Amounts by which the laws may be wrong, as stated for the run; None if none were stated."""
+        """Amounts by which the laws may be wrong, as stated for the run; None if no amounts were stated."""
         entry = self.manifest.get(STATED)
         return None if entry is None else StatedAmounts.of(entry)
 
@@ -229,7 +230,7 @@ class Result:
         """Intervals of the failure probability if the laws are wrong by stated amounts, one for each amount.
 
         Args:
-            amounts: How wrong the laws may be.
+            amounts: Amounts by which the laws may be wrong.
             confidence: Confidence of each single interval.
 
         Raises:
@@ -245,10 +246,10 @@ class Result:
         return json_lines(self._content(self.points(), CONFIDENCE))
 
     def _content(self, points: Iterable[SummaryRow], confidence: float) -> Summary:
-        """The summary of the result.
+        """The content of the summary for the given points.
 
         Args:
-            points: The points, which may be made one by one.
+            points: Summaries of the points, which may be made one by one.
             confidence: Confidence of each single interval.
         """
         times = self.manifest.get("times", {})
@@ -271,7 +272,7 @@ class Result:
         }
 
     def _design_summary(self) -> JsonObject | None:
-        """Reason and effect of the design for the summary; None if draws are independent and the study says so."""
+        """Reason and effect of the design, for the summary; None if there is neither a reason nor an effect."""
         effect = self.design_effect
         if effect is None and not self.design_reason:
             return None
@@ -328,8 +329,8 @@ def load_result(folder: str | Path, trust_code: bool = False) -> Result:
 def headline_measure(study: Study) -> Measure:
     """The metric that reports of a study show first.
 
-    It is the metric that ``[plot]`` names, else the metric of the first requirement, else the error, else the first
-    metric.
+    The choice is the metric that ``[plot]`` names, else the metric of the first requirement, else the error, else the
+    first metric.
     """
     by_name = {measure.name: measure for measure in study.measures}
     if study.config.plot.metric:
@@ -343,9 +344,9 @@ def headline_measure(study: Study) -> Measure:
 
 
 def most_violated(result: Result) -> Measure:
-    """The metric that ``[plot]`` names, else the metric of the requirement which most draws violate.
+    """The metric that ``[plot]`` names, else the metric of the requirement that most draws violate.
 
-    Without requirements it is the headline metric.
+    If the study has no requirements, the result is the headline metric.
     """
     requirements = result.study.requirements
     if result.study.config.plot.metric or not requirements:
@@ -358,7 +359,7 @@ def most_violated(result: Result) -> Measure:
 
 
 def measure_named(result: Result, metric: str | None) -> Measure:
-    """The metric of a result with a name; None: the headline metric.
+    """The metric of a result by its name; the headline metric if the name is None.
 
     Raises:
         ConfigError: The result has no such metric.

@@ -1,4 +1,4 @@
-"""The schema of a result: its variables with dimensions, types, units and meanings, following the CF conventions."""
+"""The schema of a result: variables with dimensions, types, units and meanings, following the CF conventions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,9 +25,10 @@ NOT_COMPUTED = -1
 
 
 def outcome_codes(study: Study) -> dict[int, str]:
-    """Name of each outcome code that draws of a study can have, by code.
+    """Names of the outcome codes that draws of a study can have, by code.
 
-    The code of a draw names only the first violated requirement, in the study's order; the slacks show all of them.
+    The code of a draw names only the first violated requirement, in the study's order; the slacks show all violated
+    ones.
     """
     codes = {int(Outcome.OK): "ok", int(Outcome.NON_FINITE): "non_finite"}
     is_vehicle = len(study.loop.channels) > 1
@@ -59,8 +60,8 @@ class Variable:
     """How a result stores a variable.
 
     Args:
-        dims: Names of its dimensions.
-        dtype: NumPy's name of its type.
+        dims: Names of the variable's dimensions.
+        dtype: NumPy's name of the variable's type.
         attributes: Unit, meaning and further attributes, following the CF conventions.
     """
 
@@ -72,7 +73,7 @@ class Variable:
 def variables(study: Study) -> dict[str, Variable]:
     """All variables of a study's dataset by name, the drawn numbers first; ``outcome`` is the last.
 
-    Drawn numbers have the dimension ``draw`` only, all others have the swept parameters and ``draw``.
+    Drawn numbers have only the dimension ``draw``. All other variables have the swept parameters and ``draw``.
     """
     grid = (*study.axes, "draw")
     real = f"float{study.config.loop.precision}"
@@ -102,7 +103,7 @@ def variables(study: Study) -> dict[str, Variable]:
 
 
 def units_of(study: Study) -> dict[str, str]:
-    """Unit of each number of a draw by name; variables without a unit, such as the outcome, are left out."""
+    """Unit of each variable and coordinate of a result, by name; those without a unit are left out."""
     units = {}
     for name, variable in (variables(study) | coordinates(study)).items():
         if "units" in variable.attributes:

@@ -1,4 +1,4 @@
-"""The draws of a study as standard normal scores, in which the laws are normal."""
+"""The draws of a study as standard normal scores: every law is transformed into the standard normal law."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +21,7 @@ def scores_of(study: Study, indices: np.ndarray) -> np.ndarray:
         indices: Indices of the draws, shape (n,).
 
     Returns:
-        The score of each draw in each law, shape (n, laws).
+        The score of each draw for each law, shape (n, laws).
     """
     independent_scores = special.ndtri(unit_points(study, indices))
     return independent_scores @ score_mixing_matrix(study).T
@@ -33,7 +33,7 @@ class ScoredDraws:
 
     Args:
         study: The study.
-        scores: Score of each draw in each law, shape (n, laws).
+        scores: Score of each draw for each law, shape (n, laws).
         failed: Whether each draw failed, shape (n,).
     """
 
@@ -43,7 +43,7 @@ class ScoredDraws:
 
     @classmethod
     def of(cls, study: Study, failed: np.ndarray) -> "ScoredDraws":
-        """The scored draws of a study, from whether each draw failed, shape (n,)."""
+        """Compute the scores of a study's draws; ``failed`` tells whether each draw failed, shape (n,)."""
         return cls(study, scores_of(study, np.arange(len(failed))), failed)
 
     @property
@@ -58,20 +58,20 @@ class ScoredDraws:
         return np.linalg.inv(matrix @ matrix.T)
 
     def free(self, names: list[str]) -> np.ndarray:
-        """Whether each law belongs to a named number, and so may change, shape (laws,)."""
+        """Whether each law belongs to a number among ``names``, and so may change, shape (laws,)."""
         return np.isin(list(self.study.laws), names)
 
     def weighted(self, family: type[Change], confidence: float) -> WeightedDraws:
-        """The draws, to be weighted under changes of all laws that can be shifted and widened.
+        """The draws in a form that gives them weights if all laws change that can be shifted and widened.
 
         Args:
             family: The family of changes, such as a shift of the means.
-            confidence: Confidence of statements from the weights.
+            confidence: Confidence of the statements that follow from the weights.
         """
         return WeightedDraws(family(self.precision), self.scores, self.failed, self.free(self.names), confidence)
 
     def bounds(self, interval: tuple[float, float]) -> AnyFailures:
-        """Bounds of the failure probability under changed laws, which hold whatever draws fail.
+        """Bounds of the failure probability under changed laws that hold for every set of failing draws.
 
         Args:
             interval: Interval of the failure probability under the present laws.

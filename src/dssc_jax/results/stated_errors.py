@@ -1,4 +1,4 @@
-"""The failure probability if the laws are wrong by stated amounts."""
+"""Intervals of the failure probability if the laws are wrong by stated amounts."""
 
 import math
 from collections.abc import Mapping
@@ -42,7 +42,7 @@ class StatedError:
 
     @property
     def weights_refused(self) -> str:
-        """Reason why the draws' weights give no interval; empty if they do, or are not needed."""
+        """Reason why the draws' weights give no interval; empty if they give one, or are not needed."""
         if self.weighted_interval is not None or self.kind in BALLS:
             return ""
         return "the weights are too uneven, or too few draws fail"
@@ -50,7 +50,7 @@ class StatedError:
 
 @dataclass(frozen=True)
 class StatedAmounts:
-    """Amounts by which the laws of a study may be wrong, as its user states them; true if there is any.
+    """Amounts by which the laws of a study may be wrong, as the user states them; false if no amount is stated.
 
     Args:
         within: Largest divergence of the true law, by name of the divergence in
@@ -84,7 +84,7 @@ class StatedAmounts:
 
     @property
     def entry(self) -> dict[str, object]:
-        """The amounts as an entry of the manifest, which :meth:`of` reads."""
+        """The amounts as an entry of the manifest, from which :meth:`of` reads them."""
         return {"within": dict(self.within), "shift": self.shift, "widening": self.widening}
 
     @classmethod
@@ -103,7 +103,7 @@ class StatedAmounts:
         return cls(within, shift, widening)
 
     def require(self, study: Study) -> None:
-        """Refuse a study without intervals under these amounts.
+        """Refuse a study for which these amounts give no intervals.
 
         Raises:
             ConfigError: The study has a sweep, its draws are not independent, or no law can be shifted or widened.
@@ -117,10 +117,10 @@ class StatedAmounts:
             raise ConfigError(study.source, NO_LAW)
 
     def errors(self, draws: ScoredDraws, interval: tuple[float, float], confidence: float) -> list[StatedError]:
-        """The intervals of the failure probability under each amount.
+        """The intervals of the failure probability for each amount.
 
         Args:
-            draws: The draws, and which of them failed.
+            draws: The draws as scores, with the information which of them failed.
             interval: Interval of the failure probability under the present laws.
             confidence: Confidence of the intervals by the draws' weights.
         """
@@ -142,9 +142,10 @@ class StatedAmounts:
 
 
 def confidence_of(method: Method, confidence: float = CONFIDENCE) -> float:
-    """Confidence that a statement other than the failure interval needs, to hold with the nominal confidence.
+    """Confidence with which a statement must be computed so that it holds with the nominal confidence.
 
-    A stopping rule with several looks raises it, since each look could have been the last.
+    The function is for statements other than the failure interval. A stopping rule with several looks requires a higher
+    confidence, since each look could have been the last one.
 
     Args:
         method: The method of the intervals.

@@ -35,7 +35,7 @@ from dssc_jax.study import Study, hash_of, stored_study
 class Store:
     """A results folder into which a run writes its blocks; the run holds the folder's lock.
 
-    ``pending`` are the blocks that the run still has to compute.
+    The attribute ``pending`` has the blocks that the run still has to compute.
 
     Args:
         folder: The folder; created if absent.
@@ -95,7 +95,7 @@ class Store:
 
     @property
     def layout(self) -> Layout:
-        """The division of the grid into blocks; a resumed run keeps its original blocks."""
+        """The division of the grid into blocks; a resumed run keeps the blocks with which it began."""
         return self.chunks.layout
 
     def _begin(self, manifest: Manifest) -> None:
@@ -161,12 +161,12 @@ class Store:
         files.delete(self.folder / SUMMARY)
 
     def _require_sealed(self, manifest: Manifest, layout: Layout) -> None:
-        """Refuse blocks whose digests differ from the digest in the manifest, if it records a finished run."""
+        """Refuse blocks whose digests do not match the digest over all blocks in the manifest, if there is one."""
         if DIGESTS in manifest and manifest[DIGESTS] != digest_of_all(self.folder, layout):
             raise ConfigError(str(self.folder / DIGESTS), "is damaged: these are not the run's digests; start over")
 
     def write(self, block: Block, results: Arrays, law_values: Arrays) -> None:
-        """Write a pending block, and keep it in memory if this process computes all blocks.
+        """Write a pending block; if this process computes all blocks, also keep the block in memory.
 
         Args:
             block: The block.
@@ -187,7 +187,7 @@ class Store:
             entries: Further entries of the manifest of a finished run.
 
         Raises:
-            ConfigError: A block reads back differently from how it was written; then nothing is recorded.
+            ConfigError: A block is read back with other values than were written; nothing is recorded then.
         """
         self._require_sealed(self.manifest, self.layout)  # blocks computed again equal the original blocks
         self.require_kept()
@@ -212,7 +212,7 @@ class Store:
             raise ConfigError(str(self.folder), rule)
 
     def read(self) -> tuple[xr.Dataset, Manifest]:
-        """Dataset and manifest of the complete run, from memory if this process has computed all blocks.
+        """Dataset and manifest of the complete run; from memory if this process has computed all blocks.
 
         Raises:
             ConfigError: The blocks on disk, which other processes or an earlier run have written, are damaged.
@@ -249,7 +249,12 @@ def read_run(folder: Path, trust_code: bool) -> tuple[Study, xr.Dataset, Manifes
 
 
 def read_dataset(folder: Path, study: Study, manifest: Manifest) -> xr.Dataset:
-    """Read the dataset of a results folder with a study and a manifest, and check all digests.
+    """Read the dataset of a results folder, and check all digests.
+
+    Args:
+        folder: The results folder.
+        study: The study as run.
+        manifest: Manifest of the folder.
 
     Raises:
         ConfigError: The folder is damaged, or its run did not finish.

@@ -26,7 +26,7 @@ BATCH_LANES = 2**20
 BATCH_POINTS = 4096
 """Largest number of points that are summarised at a time."""
 FEW_PAIRS = 3
-"""Up to this number of pairs of requirements, pairs that no draw violates are shown, too."""
+"""Up to this number of pairs of requirements, a summary also has the pairs that no completed draw violates."""
 SummaryRow: TypeAlias = JsonObject
 """Summary of a point, or of a requirement at a point, for JSON."""
 
@@ -35,9 +35,9 @@ Summary: TypeAlias = JsonObject
 
 
 class Statements(NamedTuple):
-    """Makes the columns of statistical statements about many points, by the same method and with the same confidence.
+    """Makes the columns of statistical statements about many points, with one method and one confidence.
 
-    A column has an entry for each point. Columns are returned by name.
+    A column has an entry for each point. The methods return columns by name.
 
     Args:
         method: Method of the intervals for this design of the draws.
@@ -59,18 +59,18 @@ class Statements(NamedTuple):
         """Columns with number, share and interval of an event.
 
         Args:
-            happened: Whether each draw has the event, shape (points, draws).
+            happened: Whether the event happened in each draw, shape (points, draws).
         """
         return frequency(happened, self.method.interval(happened, self.confidence))
 
     def quantiles(self, values: np.ndarray, missing: float) -> dict[str, list[object]]:
         """Columns with the quantiles of a metric, such as ``q95``, and their intervals, such as ``q95_interval``.
 
-        An entry that is infinite becomes None. Dependent draws have no intervals.
+        An infinite entry becomes None. Draws that are not independent have no intervals.
 
         Args:
             values: Values of a metric, shape (points, draws).
-            missing: Replaces NaN, which stands for a draw without a value.
+            missing: Value in place of NaN, which stands for a draw without a value.
         """
         sorted_values = sorted_draws(values, missing)
         columns = {}
@@ -94,7 +94,7 @@ def frequency(happened: np.ndarray, intervals: np.ndarray) -> dict[str, list[obj
 
     Args:
         happened: Whether the event happened in each draw, shape (points, draws).
-        intervals: Intervals of its probability, shape (points, 2).
+        intervals: Intervals of the event's probability, shape (points, 2).
     """
     counts = np.count_nonzero(happened, axis=-1)
     draws = happened.shape[-1]
@@ -106,9 +106,10 @@ def frequency(happened: np.ndarray, intervals: np.ndarray) -> dict[str, list[obj
 
 
 def point_rows(study: Study, dataset: xr.Dataset, method: Method, confidence: float) -> Iterator[SummaryRow]:
-    """Summarise the points of a sweep one by one, the last axis varying fastest; a run has a single point.
+    """Yield a summary of each point of a sweep, the last axis varying fastest; without a sweep there is one point.
 
-    Points are processed in batches, so that small points cost little, and few points are in memory at a time.
+    Points are processed in batches, so that points with few draws cost little time, and few points are in memory at a
+    time.
 
     Args:
         study: The study.
@@ -145,14 +146,14 @@ def summary_of_batch(
 ) -> list[SummaryRow]:
     """Summarise a batch of points: a row for each point.
 
-    Of a metric, ``ended_early`` and ``undefined`` count the draws without a value, those that ended early and those
-    that ran to the end. They count as :attr:`Metric.worst` in its quantiles.
+    For a metric, ``ended_early`` counts the draws without a value that ended early, and ``undefined`` those that ran to
+    the end. In the quantiles of the metric, these draws count as :attr:`Metric.worst`.
 
     Args:
         study: The study.
         lanes: Outcomes, slacks and metrics by name, each of shape (points, draws).
         swept: Value of each swept parameter at each point, by name.
-        certified: Whether Theorem 1 certifies each point; None if it does not apply.
+        certified: Whether Theorem 1 certifies each point; None if the theorem does not apply.
         statements: Method and confidence of the statements.
     """
     outcome = lanes["outcome"]
@@ -218,10 +219,10 @@ def requirement_rows(
     """Summarise the violations of each requirement at each point.
 
     ``alone`` counts the completed draws that violate only this requirement, and ``first`` the draws that violate it
-    before all others. ``violated_at`` is the median of the times from which on the violation was certain. For a margin,
-    ``unstable`` and ``no_operating_point`` count the completed draws that have no margin for this reason. For a metric
-    that may have no value, ``undefined`` counts the completed draws without a value, and ``defined_if`` is its
-    condition.
+    before all other requirements. ``violated_at`` is the median of the times from which on the violation was certain.
+    For a margin, ``unstable`` and ``no_operating_point`` count the completed draws that have no margin for this reason.
+    For a metric that may have no value, ``undefined`` counts the completed draws without a value, and ``defined_if`` is
+    the condition, in words, under which the metric has a value.
 
     Args:
         study: The study.
@@ -259,7 +260,7 @@ def counts_without_value(metric: Metric, values: np.ndarray, early: np.ndarray) 
 
     Args:
         metric: The metric.
-        values: Its values, shape (points, draws).
+        values: Values of the metric, shape (points, draws).
         early: Whether each draw ended early, shape (points, draws).
     """
     undefined_counts = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
@@ -312,7 +313,7 @@ def overlap_rows(
 ) -> list[list[SummaryRow]]:
     """Summarise the joint violations of each pair of requirements at each point.
 
-    ``failures`` counts all draws that violate both, ``draws`` the completed draws among them.
+    ``failures`` counts all draws that violate both requirements, ``draws`` the completed draws among these.
 
     Args:
         violations: Whether each draw violates a requirement, by label, shape (points, draws).
@@ -332,18 +333,18 @@ def overlap_rows(
 
 
 def rows_of_columns(columns: Mapping[str, Sequence[object]]) -> list[SummaryRow]:
-    """The rows of a table that is given by its columns: dictionaries with the names of the columns."""
+    """Convert columns by name into rows; each row is a dictionary with the names of the columns."""
     rows = zip(*columns.values(), strict=True)
     return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 def by_point(lists: Sequence[Sequence[Any]], count: int) -> list[list[Any]]:
-    """For each of ``count`` points, the entries that several lists have for it: the lists, transposed."""
+    """Transpose lists with an entry for each of ``count`` points: for each point, the entries of all lists."""
     return [[entries[point] for entries in lists] for point in range(count)]
 
 
 def none_if_infinite(values: np.ndarray) -> list[object]:
-    """An array as nested lists for JSON, which has no infinity: None where a value is not finite."""
+    """Convert an array into nested lists for JSON, with None in place of every value that is not finite."""
     objects = np.array(values, dtype=object)
     objects[~np.isfinite(values)] = None
     return objects.tolist()
@@ -356,18 +357,18 @@ def extreme_points(points: Sequence[SummaryRow]) -> tuple[SummaryRow, SummaryRow
 
 
 def most_violated(point: SummaryRow) -> str:
-    """The requirement which most draws of a point violate with their number, such as ``error_max (12)``."""
+    """The requirement that most draws of a point violate, with their number, such as ``error_max (12)``."""
     return largest_count({requirement["name"]: requirement["failures"] for requirement in point["requirements"]})
 
 
 def largest_count(counts: Mapping[str, int]) -> str:
-    """The name with the largest count, such as ``error_max (12)``; ``-`` if no count is above 0."""
+    """The name with the largest count, and the count, such as ``error_max (12)``; ``-`` if no count is above 0."""
     name = max(counts, key=lambda label: counts[label], default="")
     return f"{name} ({counts[name]})" if name and counts[name] else "-"
 
 
 def jsonable(content: object) -> Any:
-    """Convert data to the types of JSON: dataclasses become objects, arrays lists, NaN and infinity None."""
+    """Convert data to the types of JSON: dataclasses become objects, arrays become lists, NaN and infinity None."""
     if is_dataclass(content) and not isinstance(content, type):
         table: JsonObject = {}
         for field in fields(content):

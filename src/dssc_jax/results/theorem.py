@@ -28,7 +28,7 @@ def has_table_1(study: Study) -> bool:
 
 
 def theorem_mark(study: Study) -> "Mark | None":
-    """Theorem 1's verdict on each point of a study's sweep; None if no controller has the functions of Table 1."""
+    """Verdict of Theorem 1 on each point of a study's sweep; None if no controller has the functions of Table 1."""
     if not has_table_1(study):
         return None
     from dssc_jax.design.certification import mark  # not loaded for a result whose certificate is not shown

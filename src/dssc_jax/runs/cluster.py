@@ -1,7 +1,8 @@
 """Runs on several processes or machines by dask.distributed; each task computes and writes a range of blocks.
 
 A worker compiles once, and writes its chunks to the results folder, which all workers must be able to access. Blocks
-are independent, and a block that is written twice has the same data, so a worker that dies costs only time.
+are independent of each other, and a block that is written twice has the same data. So a worker that dies costs only
+time.
 """
 
 import importlib
@@ -43,13 +44,13 @@ MOST_BLOCKS = 16  # of a task
 
 @dataclass(frozen=True)
 class Job:
-    """A run as a worker needs to know it; sent with every task, and cached by the worker.
+    """All that a worker needs to know about a run; it is sent with every task.
 
     Args:
-        table: The study's table as JSON.
+        table: Table of the study as JSON.
         folder: Absolute path of the results folder.
         block: Shape of a block.
-        local: Folder from which the study's ``module:object`` names may be imported; None: none.
+        local: Folder from which the study's modules may also be imported; None: no such folder.
         native: Native code that the study may load, by absolute paths and digests.
     """
 
@@ -66,7 +67,7 @@ class Share:
 
     Args:
         worker: Address of the worker.
-        lanes: Number of lanes that it computed and wrote.
+        lanes: Number of lanes that the worker computed and wrote.
         seconds: Time in which the lanes ran [s].
         compile_seconds: Time of all compilations since the worker started [s].
         traces: Number of traces of the loop since the worker started.
@@ -84,7 +85,7 @@ _device_lock = Lock()
 
 @lru_cache(maxsize=1)
 def prepare_worker(job: Job) -> tuple[Engine, Chunks]:
-    """A worker's engine and its access to the results folder, created when the first task of a job arrives."""
+    """Engine and access to the results folder of a worker; created for the first task of a job, and then cached."""
     if job.local:
         allow_imports(job.local)
     for native in job.native:
@@ -97,8 +98,15 @@ def prepare_worker(job: Job) -> tuple[Engine, Chunks]:
 def compute(job: Job, blocks: list[Block]) -> Share:
     """Run one task on a worker: compute some blocks, and write them to the results folder.
 
+    Args:
+        job: The run to which the blocks belong.
+        blocks: The blocks.
+
+    Returns:
+        The work that was done, with its times.
+
     Raises:
-        ConfigError: The worker cannot load the study or reach the folder; the message names the worker.
+        ConfigError: The worker cannot load the study, or cannot reach or write the folder.
     """
     from distributed import get_worker
 
@@ -131,7 +139,7 @@ class Cluster:
     """
 
     def __init__(self, client: Any, address: str, notify: Callable[[str], None], local: str | None = None) -> None:
-        """Note which workers are present."""
+        """Record which workers are present."""
         self.client = client
         self.address = address
         self.notify = notify
@@ -149,7 +157,7 @@ class Cluster:
         """Versions, device and compiler settings of the workers, which must agree.
 
         Raises:
-            ConfigError: They differ, or a worker cannot import this package.
+            ConfigError: The workers differ, or a worker cannot import this package.
         """
         try:
             machines = self.client.run(computing)
@@ -189,7 +197,7 @@ class Cluster:
         return {"times": times, "cluster": {"address": self.address, "workers": workers, "lost": self.lost}}
 
     def _finished_shares(self, job: Job, tasks: list[list[Block]]) -> Iterator[Share]:
-        """Submit tasks, and yield the share of each task when it finishes; raises as :meth:`fill`."""
+        """Submit tasks, and yield the share of each task when it finishes; raises the errors of :meth:`fill`."""
         distributed = importlib.import_module("distributed")
         unfinished = {self.client.submit(compute, job, blocks, pure=False) for blocks in tasks}
         try:
@@ -208,7 +216,7 @@ class Cluster:
             raise ConfigError(OPTION, f"the scheduler at {self.address} was lost; {GO_ON}") from error
 
     def _check_workers(self) -> None:
-        """Tell which workers were lost or joined.
+        """Notify the user of workers that were lost or joined since the last check.
 
         Raises:
             ConfigError: There has been no worker for :data:`WORKER_TIMEOUT`.
@@ -229,14 +237,16 @@ class Cluster:
 
 
 def block_ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
-    """Divide blocks into ranges, one for each task: about :data:`TASKS` tasks for each worker."""
+    """Divide blocks into ranges, one for each task: about :data:`TASKS` or more tasks for each worker."""
     tasks = TASKS * max(workers, 1)
     size = min(max(len(blocks) // tasks, 1), MOST_BLOCKS)
     return [blocks[first : first + size] for first in range(0, len(blocks), size)]
 
 
 def sum_times(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
-    """The times of a run for its manifest: the workers' rates add up, and their compilations run in parallel.
+    """The times of a run, for its manifest.
+
+    The rates of the workers add up. Compilations run in parallel, so that the longest one counts.
 
     Args:
         shares: The work of all tasks.
@@ -260,7 +270,7 @@ def sum_times(shares: list[Share], steps: int, seconds: float) -> dict[str, floa
 
 @contextmanager
 def connected(address: str, notify: Callable[[str], None], local: str | None = None) -> Iterator[Cluster]:
-    """A context with workers: of a scheduler, or local processes that are started for its duration.
+    """Open a context with the workers of a scheduler, or with local processes, which end with the context.
 
     Args:
         address: ``tcp://host:port`` of a scheduler, or ``local:N`` for N processes on this machine.
@@ -288,7 +298,7 @@ def connected(address: str, notify: Callable[[str], None], local: str | None = N
 
 
 def local_processes(address: str) -> int:
-    """The number of processes N in ``local:N``; 0 for the address of a scheduler.
+    """The number of processes N in the address ``local:N``; 0 for the address of a scheduler.
 
     Raises:
         ConfigError: The address has neither form.
@@ -303,10 +313,10 @@ def local_processes(address: str) -> int:
 
 
 def local_cluster(count: int) -> Any:
-    """A dask cluster of processes on this machine, with local access only.
+    """Start a dask cluster of processes on this machine, with local access only.
 
-    The processes are spawned, because JAX has threads, which a fork would break. Each is watched by a process of dask,
-    which starts it again if it dies.
+    The processes are spawned, because a fork would break the threads of JAX. A process of dask watches each of them,
+    and starts it again if it dies.
     """
     distributed = importlib.import_module("distributed")
     dask = importlib.import_module("dask")
@@ -331,7 +341,7 @@ def local_cluster(count: int) -> Any:
 
 
 def worker_environment(index: int, count: int) -> dict[str, str]:
-    """The environment of worker ``index`` of ``count``: an equal part of the cores, and one GPU if there are any."""
+    """Environment variables of worker ``index`` of ``count``: an equal share of the cores, and a GPU if any."""
     environment = {machine.CORES_VARIABLE: str(max(1, machine.usable_cores() // count))}
     gpus = visible_gpus()
     if gpus:

@@ -1,7 +1,8 @@
 """The choice of the design of a run's draws for a study with ``sampling = "auto"``.
 
 A pilot estimates the failure probability. Sobol points give a narrower interval unless failures, or draws without a
-failure, are few. The run's points are randomised independently of the pilot, so the interval holds for either choice.
+failure, are few. The points of the run are randomised independently of the pilot. So the interval holds for either
+choice.
 """
 
 import math
@@ -28,7 +29,7 @@ LEAST_CASES = 50  # failures, and draws without failure, that a run must expect 
 
 
 class DesignWarning(UserWarning):
-    """Warning that a draw is not the draw of the study's run, because the run chooses the design of its draws."""
+    """Warning that a draw may differ from that of the study's run, because the run chooses the design of its draws."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,10 @@ class DesignChoice:
     """The chosen design of a study's draws.
 
     Args:
-        study: The study with ``random`` or ``sobol`` draws.
-        reason: Reason of the choice in words.
-        pilot: Number of simulations of the pilot.
-        request: Hash of the study with ``sampling = "auto"``, and its number of draws.
+        study: The study with ``random`` or ``sobol`` as its sampling.
+        reason: Reason for the choice, in words.
+        pilot: Number of simulations that the choice took.
+        request: Hash of the study with ``sampling = "auto"``, and number of draws of this study.
     """
 
     study: Study
@@ -60,8 +61,9 @@ def choose_design(study: Study, folder: Path | None, resume: bool) -> DesignChoi
 
     Args:
         study: The study, with ``sampling = "auto"``.
-        folder: The results folder; a choice that it records for the same study is taken again. None: no folder.
-        resume: Whether the study may have more draws than the study of the folder.
+        folder: The results folder; if it records a choice for the same study, this choice is taken again. None: there
+            is no folder.
+        resume: Whether the study may have more draws than the study in the folder.
 
     Raises:
         ConfigError: The folder is damaged.
@@ -96,7 +98,7 @@ def choose_design(study: Study, folder: Path | None, resume: bool) -> DesignChoi
 
 
 def warn_of_open_choice(study: Study) -> None:
-    """Warn if a run of the study may have other draws, because it may choose Sobol points.
+    """Warn if a run of the study may have other draws than plain ones, because it may choose Sobol points.
 
     Warns:
         DesignWarning: The run makes the choice after a pilot.
@@ -112,19 +114,20 @@ def warn_of_open_choice(study: Study) -> None:
 
 
 def with_plain_draws(study: Study) -> Study:
-    """The study with plain draws: independent random points."""
+    """Copy a study, with plain draws: independent random points."""
     return study.override({"sampling": "random"})
 
 
 def with_sobol_draws(study: Study, nets: int, size: int) -> Study:
-    """The study with Sobol points as draws: ``nets`` independently scrambled nets of ``size`` points each."""
+    """Copy a study, with Sobol points as draws: ``nets`` independently scrambled nets of ``size`` points each."""
     return study.override({"sampling": "sobol", "replicates": nets, "draws": nets * size})
 
 
 def nets_of(draws: int) -> tuple[int, int]:
-    """The number of Sobol nets of a run, from :data:`NETS` to twice as many, and the number of points of each net.
+    """The number of Sobol nets of a run, and the number of points of each net, a power of two.
 
-    A net has a power of two of points. Together they are at least ``draws`` points.
+    For at least :data:`NETS` draws, there are from :data:`NETS` to twice as many nets. All nets together have at least
+    ``draws`` points.
     """
     size = 1 << max(0, (draws // NETS).bit_length() - 1)  # draws / NETS rounded down to a power of two, or 1
     return math.ceil(draws / size), size
@@ -133,7 +136,7 @@ def nets_of(draws: int) -> tuple[int, int]:
 def count_pilot_failures(engine: Engine) -> int:
     """Simulate the draws of the pilot, and count the failures.
 
-    The draws are Sobol points with scramblings and in-loop noise that no run has, so they are independent of the run.
+    The draws are Sobol points. No run has their scramblings and their in-loop noise, so they are independent of runs.
     """
     study = engine.study
     size = PILOT // PILOT_NETS
@@ -147,7 +150,7 @@ def count_pilot_failures(engine: Engine) -> int:
 
 
 def recorded_choice(study: Study, folder: Path, resume: bool) -> DesignChoice | None:
-    """The choice that a results folder records for the study; None if it records none.
+    """The choice that a results folder records for the study; None if it records no such choice.
 
     Args:
         study: The study, with ``sampling = "auto"``.

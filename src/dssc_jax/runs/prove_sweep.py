@@ -33,13 +33,13 @@ def prove_sweep(
 
     Args:
         study: A study with a sweep; a swept value replaces the law of its parameter.
-        boxes: Most boxes of uncertain numbers that are tried at each point.
-        processes: Number of processes; None: one for each core. They are spawned, so a script that asks for several
-            needs ``if __name__ == "__main__":``. With 1, this process does the work.
+        boxes: Largest number of boxes of uncertain numbers that are tried at each point.
+        processes: Number of processes; None: one for each core. The processes are spawned, so a script that asks for
+            several of them needs ``if __name__ == "__main__":``. With 1, this process does the work.
         progress: Called with the points done and the number of points.
 
     Raises:
-        NotCovered: No proof covers such a loop; the message gives the reason.
+        NotCovered: No proof covers this kind of loop; the message gives the reason.
         ConfigError: ``boxes`` or ``processes`` is not positive.
         RuntimeError: A process has died.
     """
@@ -71,7 +71,7 @@ def prove_sweep(
 
 
 def foreign_points(study: Study, certificates: Sequence[JsonObject]) -> list[int]:
-    """Indices of the sweep points whose certificates were made for another loop.
+    """Indices of the points of a sweep whose certificates were made for another loop than that of the study.
 
     Args:
         study: The study.
@@ -99,14 +99,14 @@ def prove_point(problem: AnyProblem, boxes: int) -> PointOutcome:
 
 
 def answer_all(connection: Connection, boxes: int) -> None:
-    """Receive problems and send their outcomes, until this process is terminated."""
+    """Receive problems, prove them and send the outcomes, until this process is terminated."""
     while True:
         connection.send(prove_point(connection.recv(), boxes))
 
 
 @contextmanager
 def worker(boxes: int) -> Iterator[Connection]:
-    """A context with a process that proves, by a connection to it; at the end the process is terminated."""
+    """Open a context with a process that proves, and yield the connection to it; the process ends with the context."""
     spawn = multiprocessing.get_context("spawn")
     connection, connection_of_worker = spawn.Pipe()
     process = spawn.Process(target=answer_all, args=(connection_of_worker, boxes), daemon=True)
@@ -141,7 +141,7 @@ def ask(idle: "SimpleQueue[Connection]", problem: AnyProblem) -> PointOutcome:
 
 
 def sweep_points(study: Study) -> Iterator[Study]:
-    """The study at each point of its sweep, where swept values replace the laws of their parameters."""
+    """Yield the study at each point of its sweep, with the swept values in place of the laws of their parameters."""
     single = study.without_sweep()
     for values in itertools.product(*study.axes.values()):
         yield single.override(dict(zip(study.axes, values, strict=True)))

@@ -1,4 +1,4 @@
-"""Many draws together with their signals over time, by one compiled program.
+"""Simulation of many draws with some of their signals over time, by one compiled program.
 
 Some numbers of the study may change from batch to batch, as when a user moves a slider.
 """
@@ -18,10 +18,10 @@ from dssc_jax.study import Study
 
 
 class SignalKey(NamedTuple):
-    """Key of a signal over time among a lane's results.
+    """Key of a recorded signal among the results of a lane, which have texts as keys otherwise.
 
     Args:
-        name: A column of a trajectory, such as ``y`` or ``x_e``.
+        name: Name of the signal's column in a trajectory, such as ``y`` or ``x_e``.
     """
 
     name: str
@@ -32,11 +32,11 @@ class RecordedDraws:
 
     Args:
         study: The study; its own sweep is ignored.
-        live: Lowest and highest value of each number that batches set. Both are checked like values of a sweep. A
-            number that has a law in a batch's study is drawn from that law.
+        live: Lowest and highest value of each number that batches may set. Both ends are checked like values of a
+            sweep. A number that has a law in the study of a batch is drawn from this law.
         signals: Names of the signals to record.
-        samples: Most samples to record of each signal.
-        lanes: Most draws that run together.
+        samples: Largest number of samples to record of each signal.
+        lanes: Largest number of draws that run together.
 
     Raises:
         ConfigError: A name is not a number of the loop, or an end is not admissible.
@@ -50,7 +50,7 @@ class RecordedDraws:
         samples: int = 300,
         lanes: int = 256,
     ) -> None:
-        """Check the numbers, and make the engine, in whose study they are swept."""
+        """Check the live numbers, and make the engine for a study in which they are swept."""
         axes = {name: sorted(set(extent)) for name, extent in live.items()}
         self.study = study.override({"sweep": axes})
         self.signals = tuple(signals)
@@ -63,7 +63,7 @@ class RecordedDraws:
         return np.arange(0, self.study.loop.steps, self.every) * self.study.loop.sample_time
 
     def compile(self) -> None:
-        """Compile the program now, instead of with the first batch."""
+        """Compile the program at once, rather than with the first batch."""
         self._engine.compiled()
 
     def batches(self, study: Study, indices: np.ndarray) -> Iterator[Arrays]:
@@ -75,8 +75,8 @@ class RecordedDraws:
             indices: Draw indices, shape (n,).
 
         Yields:
-            Results of a batch as of :class:`dssc_jax.engine.evaluation.Evaluator`, and for each :class:`SignalKey` an
-            array of shape (lanes, samples), NaN once a draw has ended.
+            Results of a batch as from :class:`dssc_jax.engine.evaluation.Evaluator`, and for each :class:`SignalKey`
+            an array of shape (lanes, samples) that is NaN once a draw has ended.
         """
         drawn = draw(study, indices)
         stated = study.leaves()
@@ -89,7 +89,7 @@ class RecordedDraws:
             yield self._with_ends(evaluate(self._engine, columns, indices[batch]))
 
     def _with_ends(self, results: Arrays) -> Arrays:
-        """The results of a batch, with signals that are NaN from the end of their draw on."""
+        """Copy the results of a batch, with NaN in the signals from the end of each draw on."""
         ends = np.fmin(results["failed_at"], results.get("settled_at", np.inf))
         has_ended = self.times >= ends[:, None]
         if not has_ended.any():

@@ -60,9 +60,10 @@ def run_manifest(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
 
 
 def sampling_entry(study: Study) -> dict[str, object]:
-    """The manifest's entry on the design of the draws and on their correlations.
+    """The manifest's entry about the design of the draws and the correlations of the numbers.
 
-    Each correlation is stated for the ranks of two numbers, as in the study, and for their normal variables.
+    The entry has each correlation twice: for the ranks of the two numbers, as in the study, and for their normal
+    variables.
     """
     config = study.config
     correlations = {}
@@ -101,23 +102,23 @@ def run(
     Args:
         study: The study, or its file; one with a ``[sweep]`` is swept, see :meth:`Study.without_sweep`.
         out: Results folder to fill during the run; None: the result stays in memory.
-        resume: Whether to keep the results of an earlier run of the same study in ``out``, and to compute the missing
-            ones; the study may have more draws than before.
+        resume: Whether to keep the results of an earlier run of the same study in ``out``, and to compute only the
+            missing ones; the study may have more draws than that run.
         progress: Called with the lanes done and all lanes after each block.
-        block: Maximum number of lanes of a block; None: the engine's choice. Results depend neither on it nor on the
-            following arguments.
-        tile: Lanes of a tile.
-        devices: Number of devices to use.
+        block: Maximum number of lanes of a block; None: the engine chooses. Results depend neither on this argument nor
+            on ``tile``, ``devices``, ``cluster``, ``notify`` and ``local``.
+        tile: Number of lanes of a tile; None: the engine chooses.
+        devices: Number of devices to use; None: all devices.
         cluster: ``tcp://host:port`` of a dask scheduler or ``local:N``; every worker must see ``out``. Devices and
             tiles are then the workers' own choice.
         notify: Called with a line of text when a worker of the cluster is lost or joins.
         local: Folder in which a cluster's workers also look for the study's ``module:object`` names.
         check: Whether to simulate some draws again with twice the substeps; see
             :func:`dssc_jax.engine.integration.integration_error`.
-        within: Amounts by which the laws may be wrong, for which the interval of the failure probability is wanted
-            beside the usual one: ``total_variation``, ``kl`` or ``chi_square``, each >= 0.
-        shift: Amount of a shift of all means, >= 0 [standard deviations], for which that interval is wanted.
-        widening: Relative width of all laws, >= 1, for which that interval is wanted.
+        within: Divergences by which the laws may be wrong, by name: ``total_variation``, ``kl`` or ``chi_square``, each
+            >= 0. The result then also has the interval of the failure probability for each of them.
+        shift: Shift by which all means may be wrong, >= 0 [standard deviations], for such an interval.
+        widening: Factor by which all laws may be wider, >= 1, for such an interval.
 
     Raises:
         ConfigError: ``out`` contains something else, is being written, cannot be written, or is missing where
@@ -167,8 +168,8 @@ class ThisProcess:
 
     Args:
         study: The study.
-        tile: Lanes of a tile.
-        devices: Number of devices to use.
+        tile: Number of lanes of a tile; None: the engine chooses.
+        devices: Number of devices to use; None: all devices.
     """
 
     study: Study
@@ -176,7 +177,7 @@ class ThisProcess:
     devices: int | None
 
     def __post_init__(self) -> None:
-        """Note the time; nothing is computed yet."""
+        """Record the time at which the run began; nothing is computed yet."""
         self.began = time.perf_counter()
         self.block_results: Iterator[tuple[Block, Arrays, Arrays]] | None = None
 
@@ -185,7 +186,7 @@ class ThisProcess:
         return computing()
 
     def start(self, layout: Layout, blocks: list[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
-        """Start to compute some blocks in turn; returns the iterator of :func:`dssc_jax.engine.batching.execute`."""
+        """Start computing blocks in turn, and return the iterator of :func:`dssc_jax.engine.batching.execute`."""
         self.engine = Engine(self.study, layout.lanes, self.tile, self.devices)
         self.block_results = execute(self.engine, blocks)
         return self.block_results
@@ -213,8 +214,8 @@ class LanesDone:
 
     Args:
         progress: Called with the lanes done and all lanes; None: no callback.
-        layout: All lanes.
-        pending: The blocks that are not finished at the beginning.
+        layout: The grid of all lanes.
+        pending: Blocks that are not finished at the beginning.
     """
 
     def __init__(self, progress: ProgressCallback | None, layout: Layout, pending: list[Block]) -> None:
@@ -232,7 +233,7 @@ class LanesDone:
 
 
 def integration_entry(study: Study, check: bool) -> Manifest:
-    """Measure the error of integration if ``check`` is set; return it as an entry of the manifest, else nothing."""
+    """The manifest's entry with the measured error of integration; empty if ``check`` is False."""
     return {"integration": integration_error(study).to_dict()} if check else {}
 
 

@@ -42,8 +42,8 @@ def run_until(
 ) -> Result:
     """Simulate draws until a stopping rule is satisfied at one of a geometric sequence of looks.
 
-    The intervals of the result remain valid under the stopping rule, which its manifest records. Draw i is the same
-    as in any other run of the study.
+    The manifest of the result records the stopping rule, and the intervals remain valid under this rule. Draw i is the
+    same as in any other run of the study.
 
     Args:
         study: The study, or its file, without a sweep; its number of draws is ignored.
@@ -51,10 +51,10 @@ def run_until(
         out: Results folder, written at the end; None: the result stays in memory.
         most: Maximum number of draws, after which the run stops undecided.
         progress: Called with the draws done and ``most``.
-        check: As in :func:`dssc_jax.runs.run.run`, like the following arguments.
-        within: Amounts by which the laws may be wrong.
-        shift: Shift of all means [standard deviations].
-        widening: Relative width of all laws.
+        check: As in :func:`dssc_jax.runs.run.run`.
+        within: As in :func:`dssc_jax.runs.run.run`.
+        shift: As in :func:`dssc_jax.runs.run.run` [standard deviations].
+        widening: As in :func:`dssc_jax.runs.run.run`.
 
     Raises:
         ConfigError: The study is swept or its draws are not independent, ``most`` is out of range, or ``out``
@@ -98,7 +98,7 @@ class Stop(NamedTuple):
     Args:
         looks: The looks at which the failures were counted; the last one ended the simulation.
         failures: Number of failures among the first draws of each look.
-        batches: Results of the draws, batch by batch; they may be more draws than the last look has.
+        batches: Results of the draws, batch by batch; there may be more draws than at the last look.
         verdict: The rule's verdict at the last look; None: undecided.
     """
 
@@ -109,7 +109,7 @@ class Stop(NamedTuple):
 
     @property
     def draws(self) -> int:
-        """Number of draws of the last look, which are the draws of the result."""
+        """Number of draws at the last look, which is the number of draws of the result."""
         return self.looks[-1].draws
 
 
@@ -146,7 +146,7 @@ def simulate_until_stop(engine: Engine, rule: StoppingRule, most: int, progress:
 
 
 def stopping_entry(rule: StoppingRule, stop: Stop, most: int) -> JsonObject:
-    """The manifest's entry on the stopping rule, by which the intervals of the result are computed.
+    """The manifest's entry about the stopping rule, from which the intervals of the result follow.
 
     Args:
         rule: The stopping rule.
@@ -167,10 +167,10 @@ def stopping_entry(rule: StoppingRule, stop: Stop, most: int) -> JsonObject:
 
 
 def with_independent_draws(study: Study) -> tuple[Study, Manifest]:
-    """Take plain draws for a study with ``sampling = "auto"``, as a stopping rule needs them.
+    """Take plain draws for a study with ``sampling = "auto"``, since a stopping rule needs independent draws.
 
     Returns:
-        The study, and the manifest's entry on the choice; any other study as it is, without an entry.
+        The study, and the manifest's entry about the choice. Any other study is returned as it is, with an empty entry.
     """
     if study.config.sampling != "auto":
         return study, {}
@@ -184,7 +184,7 @@ def require_sequential(study: Study) -> None:
     """Require that a study may run under a stopping rule: it has no sweep, and its draws are independent.
 
     Raises:
-        ConfigError: It has a sweep, or its draws are points of a Sobol or Latin-hypercube design.
+        ConfigError: The study has a sweep, or its draws are points of a Sobol or Latin-hypercube design.
     """
     if study.axes:
         raise ConfigError(study.source, "a data-driven stop is for one point; leave [sweep] aside")

@@ -41,15 +41,15 @@ SIGNALS = {
     "u": Quantity("u", "robust command u"),
     "u_total": Quantity("u", "total command u + u_n"),
 }
-"""Unit and meaning of the signals of every channel; controllers and plants declare those of their infos."""
+"""Unit and meaning of the signals that every channel has; controllers and plants declare those of their infos."""
 
 
 RecordedLane: TypeAlias = Callable[[dict[str, jax.Array], jax.Array], tuple[Run, Recorded]]
-"""``(numbers of the lane by name, draw index) -> the draw's result and its recorded samples``."""
+"""``(numbers of the lane by name, draw index) -> result and recorded samples of the draw``."""
 
 
 def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str, float]:
-    """The uncertain and swept numbers of one draw at a point of the sweep.
+    """Values of the uncertain and swept numbers, by name, of one draw at a point of the sweep.
 
     Raises:
         ConfigError: The draw is not in the study, or ``point`` does not have the names of the sweep.
@@ -73,7 +73,7 @@ def require_draw(study: Study, draw: int, source: str) -> None:
         source: The study's file or the results folder, for the message.
 
     Raises:
-        ConfigError: It has not.
+        ConfigError: The study has no such draw.
     """
     if not 0 <= draw < study.config.draws:
         raise ConfigError(source, f"draw must be in 0 .. {study.config.draws - 1}, got {draw}")
@@ -108,7 +108,7 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
         ConfigError: ``draw``, ``point`` or ``every`` is out of range.
 
     Warns:
-        DesignWarning: the draw is not that of a run, which chooses the design of its draws (``sampling = "auto"``).
+        DesignWarning: With ``sampling = "auto"``, a run chooses the design of its draws, and may have another draw.
     """
     warn_of_open_choice(study)
     record = recorder(study if point else study.without_sweep(), every)
@@ -124,10 +124,10 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
         plain: Whether to use plain XLA, independent of the program that computes results.
 
     Returns:
-        ``(draw, point) -> trajectory``, as of :func:`simulate`.
+        ``(draw, point) -> trajectory``, a dataset as from :func:`simulate`.
 
     Raises:
-        ConfigError: ``every`` is out of range; when called, ``draw`` or ``point`` is.
+        ConfigError: ``every`` is out of range. The returned function raises it for ``draw`` and ``point``.
     """
     if every < 1:
         raise ConfigError(study.source, f"every must be >= 1, got {every}")
@@ -139,7 +139,7 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
 
     @cache
     def program() -> Callable[..., tuple[Run, Recorded]]:
-        """The program of a lane, compiled for the first trajectory."""
+        """The program of a lane, compiled when the first trajectory is computed."""
         return kernels.compile_single_lane(recorded_lane(study, every), lane_names(study), plain)
 
     margins_at = margin_values(study)
@@ -177,7 +177,7 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], run: Run
         draw: Index of the draw.
         values: The draw's uncertain and swept numbers.
         run: The draw's result.
-        recorded: Its recorded samples.
+        recorded: The recorded samples of the draw.
     """
     end = np.fmin(run.failed_at, run.settled_at)  # NaN: the draw has its full length
     has_ended = recorded.instant.t >= end  # from there on the state is frozen
@@ -208,7 +208,12 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], run: Run
 
 
 def events_in(study: Study, values: Mapping[str, float]) -> dict[str, list[str] | list[float]]:
-    """Kinds and times [s] of the study's events in a draw, as attributes of a trajectory; empty without events."""
+    """Kinds and times [s] of a study's events in a draw, as attributes of a trajectory; empty without events.
+
+    Args:
+        study: The study.
+        values: The draw's uncertain and swept numbers, by name.
+    """
     if not study.config.event:
         return {}
     plain_values = study.leaves()
@@ -290,13 +295,14 @@ def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = N
     Args:
         result: A loaded or fresh result.
         draw: Index of the draw.
-        point: Value of each swept parameter, rounded to the nearest value of the sweep; None: the point with the draw's
-            smallest slack, or the first point without requirements.
+        point: Value of swept parameters, rounded to the nearest value of the sweep; a parameter that is left out has
+            its first value. None: the point at which the draw has its smallest relative slack, or the first point if
+            there are no requirements.
         every: Number of samples from one recorded sample to the next.
 
     Returns:
-        A trajectory as of :func:`simulate`. The attribute ``agreement`` is the verdict on its metrics (see
-        :class:`dssc_jax.engine.reference.Agreement`), and ``deviation`` is their largest relative deviation.
+        A trajectory as from :func:`simulate`. The attribute ``agreement`` is the verdict on the metrics (see
+        :class:`dssc_jax.engine.reference.Agreement`), and ``deviation`` is the largest relative deviation of a metric.
 
     Raises:
         ConfigError: ``draw`` or ``point`` is not in the result.
@@ -313,12 +319,13 @@ def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = N
 
 
 def point_of(result: "Result", draw: int, point: Mapping[str, float] | None) -> dict[str, int]:
-    """The point of the sweep at which :func:`replay` simulates a draw again: an index along each axis, by its name.
+    """The point of the sweep at which :func:`replay` simulates a draw again: an index along each axis, by name.
 
     Args:
         result: The result.
         draw: Index of the draw.
-        point: Value of each swept parameter; None or empty: the point is chosen.
+        point: Value of swept parameters; a parameter that is left out has its first value. None or empty: the point of
+            :func:`worst_point`.
 
     Raises:
         ConfigError: ``draw`` or ``point`` is not in the result.
@@ -347,16 +354,17 @@ def agreement_of(result: "Result", run: xr.Dataset) -> Agreement:
 
 
 def nearest_index(values: tuple[float, ...], requested: float | None) -> int:
-    """Index of the swept value nearest to a requested value; 0 if none is requested (None)."""
+    """Index of the swept value nearest to a requested value; 0 if the requested value is None."""
     if requested is None:
         return 0
     return int(np.argmin(np.abs(np.asarray(values) - requested)))
 
 
 def worst_point(result: "Result", draw: int) -> dict[str, int]:
-    """The point of the sweep at which a draw's smallest relative slack is smallest: an index along each axis, by name.
+    """The point of the sweep at which a draw has its smallest relative slack: an index along each axis, by name.
 
-    Without requirements it is the first point.
+    The slacks of all requirements are compared, each relative to its scale. If there are no requirements, the result is
+    the first point.
     """
     axes = list(result.study.axes)
     requirements = result.study.requirements

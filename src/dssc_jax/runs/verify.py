@@ -21,12 +21,12 @@ MOST_LANES = 16384  # that may be recomputed
 
 @dataclass(frozen=True)
 class SinglePrecision:
-    """The effect of float32 on a result: lanes compared with the same lanes, and the same noise, in float64.
+    """The effect of float32 on a result, from a comparison of lanes with the same lanes and noise in float64.
 
     Args:
         outcomes: Number of lanes whose outcome differs.
-        median: Median over the lanes of each lane's largest relative deviation.
-        largest: Maximum of these deviations; infinite if one lane ends early and its counterpart does not.
+        median: Median over the lanes of the largest relative deviation in a lane.
+        largest: Maximum of the relative deviations; infinite if a lane ends early in one precision only.
     """
 
     outcomes: int
@@ -41,14 +41,15 @@ class Verification:
     Args:
         lanes: Number of lanes.
         seed: Seed that selected the lanes.
-        deviation: Largest deviation of a value, relative to it or to its variable's typical size, whichever is larger;
-            infinite if an outcome differs. Lanes that amplify rounding too much are left out, unless all do.
-        worst: Where that deviation is: variable, draw, swept values, stored and computed value; None if all values are
-            equal.
+        deviation: Largest deviation of a value, relative to the value or to the typical size of its variable, whichever
+            is larger; infinite if an outcome differs. Lanes that amplify rounding too much are left out, unless all
+            lanes do.
+        worst: Place of the largest deviation: variable, draw, swept values, stored and computed value; None if all
+            values are equal.
         verdict: ``agrees``; ``differs`` if rounding does not explain a deviation; ``undecided`` if every lane amplifies
             rounding so much that none is evidence.
-        undecided: Number of lanes that are not evidence.
-        otherwise: Differences of versions, device and compiler settings from those of the run.
+        undecided: Number of lanes that are no evidence, because they amplify rounding too much.
+        otherwise: Differences in versions, device, compiler settings and code between this process and the run.
         single_precision: The effect of float32 on a result in float32; None for a result in float64.
     """
 
@@ -67,19 +68,19 @@ class Verification:
         return self.verdict == "agrees"
 
     def to_dict(self) -> JsonObject:
-        """For JSON."""
+        """The verification in the types of JSON."""
         return asdict(self) | {"verified": self.verified}
 
 
 def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verification:
     """Recompute random lanes of a result, and compare them with the stored values.
 
-    The plain program computes them, not the program that produced the result.
+    The plain program recomputes the lanes; it is independent of the program that produced the result.
 
     Args:
         result: A loaded result.
-        draws: Number of lanes, draws at random points of the sweep; all lanes if the result has fewer.
-        seed: Seed that selects the lanes; None: other lanes each time.
+        draws: Number of lanes to recompute, each a draw at a point of the sweep; all lanes if the result has fewer.
+        seed: Seed that selects the lanes; None: a new random seed.
 
     Raises:
         ConfigError: ``draws`` or ``seed`` is out of range.
@@ -115,12 +116,12 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
 
 
 def worst_lane(result: Result, lanes: Lanes, plain_results: Arrays, comparison: Agreement, at: int) -> JsonObject:
-    """The value of a lane that deviates most, stored and computed, and where it is; for JSON.
+    """The value of a lane that deviates most, as stored and as computed, with its place; in the types of JSON.
 
     Args:
         result: The result.
         lanes: The recomputed lanes.
-        plain_results: Their variables by the plain program.
+        plain_results: Variables of the recomputed lanes, by the plain program.
         comparison: The comparison with the stored values.
         at: Number of the lane among the recomputed ones.
     """
@@ -135,12 +136,12 @@ def worst_lane(result: Result, lanes: Lanes, plain_results: Arrays, comparison: 
 
 
 def single_precision(result: Result, lanes: Lanes, plain_results: Arrays) -> SinglePrecision:
-    """The effect of float32 on a result: compare lanes in float32 with the same lanes in float64.
+    """Measure the effect of float32 on a result, by comparing lanes with the same lanes in float64.
 
     Args:
         result: The result in float32.
-        lanes: The lanes.
-        plain_results: Their variables in float32, by the plain program.
+        lanes: The lanes to compare.
+        plain_results: Variables of the lanes in float32, by the plain program.
     """
     study = result.study.override({"loop.precision": 64})
     exact = recompute(study, lanes)

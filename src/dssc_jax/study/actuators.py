@@ -51,7 +51,9 @@ def kind_fields(table: Mapping[str, object]) -> TomlTable:
 
 
 def element_labels(tables: list[TomlTable]) -> list[str]:
-    """Name of each element of a chain, or its index if it has no name; dotted names of its numbers contain it.
+    """Label of each element of a chain: its name, or its index if it has no name.
+
+    The dotted names of an element's numbers contain the label, such as ``actuator.servo.tau``.
 
     Raises:
         ConfigError: A name or a channel is not valid, or a name occurs twice.
@@ -85,7 +87,7 @@ def require_channel(table: Mapping[str, object], path: str, channels: tuple[str,
         channels: Names of the channels; one empty name for a plant with one channel.
 
     Raises:
-        ConfigError: The plant has no such channel.
+        ConfigError: The plant has no channel of this name.
     """
     channel = table.get("channel", "")
     if not channel or channel in channels:
@@ -97,14 +99,15 @@ def require_channel(table: Mapping[str, object], path: str, channels: tuple[str,
 def parse_chain(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Component]:
     """Parse the tables ``[[actuator]]`` into one component for each channel: the chain of the channel's elements.
 
-    An element without ``channel`` acts in every channel; all these channels share its numbers, and so their draws.
+    An element without ``channel`` acts in every channel. The channels then share the numbers of the element, and so
+    each draw of them.
 
     Args:
         tables: Tables of the elements, from the command to the plant.
         channels: Names of the channels; one empty name for a plant with one channel.
 
     Raises:
-        ConfigError: An element is not valid, or cannot act at its position.
+        ConfigError: There are too many elements, or an element is not valid or cannot act at its position.
     """
     if len(tables) > MOST_ELEMENTS:
         raise ConfigError(ACTUATOR, f"has at most {MOST_ELEMENTS} elements, got {len(tables)}")
@@ -178,14 +181,16 @@ def require_one_form(config: StudyTable) -> None:
     """Require that a study does not state both a chain ``[[actuator]]`` and the single actuator ``[unmodelled]``.
 
     Raises:
-        ConfigError: It states both.
+        ConfigError: The study states both.
     """
     if config.actuator and config.unmodelled != ABSENT_ACTUATOR:
         raise ConfigError(SLOT, "is the chain of one element; beside [[actuator]], make it one of its elements")
 
 
 def tables_of(config: StudyTable, slot: str, channel: str = "") -> list[TomlTable]:
-    """Tables of the parts in a slot: one for each element of a chain or summand of a sum, otherwise a single one.
+    """Tables of the parts in a slot: one for each element of a chain or each summand of a sum, otherwise one table.
+
+    Elements of kind ``none`` are left out of a chain.
 
     Args:
         config: Tables of the study.
@@ -205,9 +210,10 @@ def tables_of(config: StudyTable, slot: str, channel: str = "") -> list[TomlTabl
 
 
 def kind_in(config: StudyTable, slot: str, channel: str = "") -> str:
-    """Kind of the part in a slot, in words, such as ``dssc``; ``delay + lag`` for a chain; ``none`` for an empty one.
+    """Kind of the part in a slot, in words, such as ``dssc``.
 
-    If only the tables of the channels state a kind, the common table's is ``by channel``.
+    The kinds of a chain or a sum are joined, such as ``delay + lag``; an empty slot gives ``none``. If only the tables
+    of the channels state a kind, the common table gives ``by channel``.
 
     Args:
         config: Tables of the study.

@@ -13,14 +13,14 @@ from dssc_jax.study.importing import import_object
 from dssc_jax.study.schema import StudyTable
 
 PACKAGE_METRICS = METRICS | PERFORMANCE | STEP_RESPONSE
-"""The package's metrics by kind, without the metrics of any signal, such as ``rms``."""
+"""The package's metrics by kind; metrics that take any signal, such as ``rms``, are not among them."""
 
 
 def metric_kinds(config: StudyTable) -> dict[str, Metric]:
-    """All kinds of metric by name: the package's, and those that a study refers to as ``package.module:object``.
+    """All kinds of metric by name: those of the package, and those that a study names as ``package.module:object``.
 
     Raises:
-        ConfigError: An object cannot be imported, is no metric, or has the name of another metric.
+        ConfigError: An object cannot be imported, is no metric, or has the same name as another metric.
     """
     metrics = dict(PACKAGE_METRICS)
     names_by_place: dict[str, str] = {}
@@ -42,7 +42,7 @@ def metric_kinds(config: StudyTable) -> dict[str, Metric]:
 
 
 def kind_name(name: str) -> str:
-    """Name of a kind of metric in results: the name itself, or the object's for a user's ``package.module:object``."""
+    """Name of a kind of metric in results; for a user's ``package.module:object``, the name of the object."""
     _, _, last_name = name.rpartition(":")
     return last_name
 
@@ -51,8 +51,8 @@ class NamedMetric(NamedTuple):
     """A metric that a loop can have.
 
     Args:
-        kind: Its kind, such as ``error_rms``.
-        channel: Index of the channel that it describes; None for a metric of the vehicle or of a signal.
+        kind: Kind of the metric, such as ``error_rms``.
+        channel: Index of the channel that the metric describes; None for a metric of the vehicle or of a signal.
     """
 
     kind: str
@@ -62,11 +62,11 @@ class NamedMetric(NamedTuple):
 def available_metrics(
     channels: Mapping[str, Sequence[str]], vehicle: Sequence[str], kinds: Mapping[str, Metric]
 ) -> dict[str, NamedMetric]:
-    """Metrics that a loop can have by name, because its controllers and its plant report what they need.
+    """Metrics that a loop can have, by name: those whose needed fields its controllers or its plant report.
 
     Args:
-        channels: Fields of the controller's info in each channel, by the channel's name.
-        vehicle: Fields of the plant's info.
+        channels: Names of the fields in the controller's info of each channel, by the channel's name.
+        vehicle: Names of the fields in the plant's info.
         kinds: All kinds of metric by name.
     """
     metrics: dict[str, NamedMetric] = {}
@@ -99,12 +99,12 @@ class AvailableMetrics(NamedTuple):
     default_window: Window
 
     def with_signal_metrics(self, metrics: Mapping[str, Metric]) -> "AvailableMetrics":
-        """The same metrics, and further ones of signals by name, each of which is a kind by itself."""
+        """Add metrics of signals, given by name; each of them is a kind of its own."""
         names = {name: NamedMetric(name, None) for name in metrics}
         return self._replace(names={**self.names, **names}, kinds={**self.kinds, **metrics})
 
     def measure(self, name: str, window: Window) -> Measure:
-        """A metric of the loop over a window, which the measure's name contains unless it is the default window."""
+        """Make the measure of a metric over a window; its name contains the window unless that is the default one."""
         kind, channel = self.names[name]
         is_of_channel = channel is not None
         return Measure(

@@ -53,7 +53,7 @@ def validate_fixed(table: TomlTable) -> StudyTable:
 
 
 def valid_names(error: ValidationError) -> Iterable[str]:
-    """Names that are valid in the table of pydantic's first error, among which a message looks for the nearest name."""
+    """Names that are valid in the table of pydantic's first error; a message proposes the nearest of them."""
     path = [str(part) for part in error.errors()[0]["loc"]]  # sections, then the name; empty for a rule of the study
     sections = path[:-1]
     if ".".join(sections) in FIXED_TABLES:  # such as loop.settled
@@ -64,9 +64,10 @@ def valid_names(error: ValidationError) -> Iterable[str]:
 
 
 def with_constants(table: TomlTable, parameters: ParameterTable) -> TomlTable:
-    """A study's table in which each expression has become a number, except in the parts of the loop.
+    """Copy a study's table with a number in place of each expression, except in the parts of the loop.
 
-    The parts of the loop admit expressions of uncertain parameters; all other tables are needed before tracing.
+    The parts of the loop keep their expressions, since these may depend on uncertain parameters. The numbers in all
+    other tables must be known before tracing.
 
     Raises:
         ConfigError: An expression is not valid, or depends on a law.
@@ -79,7 +80,7 @@ def with_constants(table: TomlTable, parameters: ParameterTable) -> TomlTable:
 
 
 class StudyContent(NamedTuple):
-    """Content of a parsed study; :class:`dssc_jax.study.Study` documents the fields, which it shares."""
+    """Content of a parsed study; :class:`dssc_jax.study.Study` has the same fields, and documents them."""
 
     config: StudyTable
     loop: Loop
@@ -104,9 +105,12 @@ def build(table: TomlTable) -> StudyContent:
 
 
 def parse_content(table: TomlTable) -> StudyContent:
-    """Parse the table of a study; an error about a name in the wrong section does not yet name the right section.
+    """Parse the table of a study, as :func:`build` does, but with plain errors.
 
-    :func:`build` adds the right section to the error.
+    If a name is in the wrong section, :func:`build` adds the right section to the error.
+
+    Raises:
+        ConfigError: The table is not valid.
     """
     parameters = ParameterTable.from_toml(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     config = validate_fixed(with_constants(table, parameters))
@@ -146,7 +150,13 @@ def parse_content(table: TomlTable) -> StudyContent:
 
 
 def signals_of(loop: Loop, template: LoopParams, units: tuple[ChannelUnits, ...]) -> dict[str, SampledSignal]:
-    """Every signal that a loop computes at a sample, by the name of its column in a trajectory."""
+    """Every signal that a loop computes at a sample, by the name of its column in a trajectory.
+
+    Args:
+        loop: The loop.
+        template: Parameters of the loop; the leaves may be laws and expressions.
+        units: Units and meanings of each channel.
+    """
     controller_fields, plant_fields = info_fields(loop, template)
     reports = [quantities_of(model.info) for model in loop.controller]
     return sampled_signals(
@@ -155,11 +165,11 @@ def signals_of(loop: Loop, template: LoopParams, units: tuple[ChannelUnits, ...]
 
 
 Fields = tuple[dict[str, tuple[str, ...]], tuple[str, ...]]
-"""Names of the fields in the info of each channel's controller, by channel; then names of the fields in the plant's."""
+"""Two results: names of the fields in each controller's info, by channel, and names of those in the plant's info."""
 
 
 def info_fields(loop: Loop, template: LoopParams) -> Fields:
-    """Names of the fields that each controller and the plant report, found by a trace, which computes no numbers."""
+    """Names of the fields that each controller and the plant report; a trace finds them without computing numbers."""
     leaves, structure = jax.tree.flatten(nominal_params(template))
     hashable_leaves: list[Hashable] = []
     for leaf in leaves:
@@ -170,9 +180,9 @@ def info_fields(loop: Loop, template: LoopParams) -> Fields:
 
 @lru_cache(maxsize=64)
 def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> Fields:
-    """Names of the fields that each controller and the plant report, for parameters that can be keys of a cache.
+    """Names of the fields that each controller and the plant report, from parameters in a form that can be hashed.
 
-    The cache serves all variants of a study, whose loading takes its time mostly for this trace.
+    The trace takes most of the time of loading a study. Variants of a study with the same parameters share the cache.
 
     Args:
         loop: The loop.
@@ -185,7 +195,7 @@ def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> F
         return isinstance(leaf, jax.ShapeDtypeStruct)
 
     def infos_of(arrays: list[jax.Array]) -> tuple[tuple[Any, ...], Any]:
-        """Infos of the controllers, and info of the plant, at the first sample of the loop with these arrays."""
+        """Infos of the controllers, and info of the plant, at the first sample, for arrays in place of their shapes."""
         next_array = iter(arrays)
         filled_leaves = [next(next_array) if is_array(leaf) else leaf for leaf in leaves]
         params = jax.tree.unflatten(structure, filled_leaves)

@@ -1,4 +1,4 @@
-"""Files of the code that a study refers to, as ``module:object`` or as native code, found without running it."""
+"""Files of the code that a study names, as ``module:object`` or as native code, found without running the code."""
 
 import ast
 import hashlib
@@ -36,9 +36,10 @@ def code_names(table: Mapping[str, object]) -> tuple[str, ...]:
 
 
 def code_file(name: str) -> Path | None:
-    """File of the module in ``module:object``; None if it is not found.
+    """File of the module in ``module:object``; None if no file is found.
 
-    The search runs no code: ``importlib.util.find_spec`` of a dotted name would import the packages above the module.
+    The search runs no code. It descends package by package, since ``importlib.util.find_spec`` of a dotted name would
+    import the packages above the module.
     """
     top_package, *submodules = name.partition(":")[0].split(".")
     try:
@@ -55,8 +56,8 @@ def code_digests(table: Mapping[str, object]) -> dict[str, dict[str, str | None]
     """File and SHA-256 digest of all code that a study refers to, for JSON.
 
     Returns:
-        Three kinds of files: a module that the study names, by ``module:object``; a user's module that such a module
-        imports, by the module's name; and native code, by the name of the file in the study.
+        File and digest by name, for three kinds of files: modules that the study names, by ``module:object``; a user's
+        modules that these import, by the module's name; and native code, by the file's name in the study.
     """
     named_modules = {name: file_digest(code_file(name)) for name in code_names(table)}
     native = {part.file: {"file": part.place, "sha256": part.sha256} for part in native_files(table)}
@@ -64,7 +65,7 @@ def code_digests(table: Mapping[str, object]) -> dict[str, dict[str, str | None]
 
 
 def file_digest(file: Path | None) -> dict[str, str | None]:
-    """Path of a file and SHA-256 digest of its content, for JSON; both None without a file."""
+    """Path of a file and SHA-256 digest of its content, for JSON; both are None if there is no file."""
     if file is None:
         return {"file": None, "sha256": None}
     return {"file": str(file), "sha256": hashlib.sha256(files.read_bytes(file)).hexdigest()}
@@ -81,9 +82,9 @@ def imported_digests(table: Mapping[str, object]) -> dict[str, dict[str, str | N
 def imported_files(name: str) -> dict[str, Path]:
     """Files of the user's modules that the module in ``module:object`` imports, directly or through other modules.
 
-    The search reads the text of import statements, which runs no code. It follows modules of the named module's
-    package, and modules whose file lies under the folder from which the named module is imported, unless they are
-    installed there.
+    The search reads the text of import statements, and so runs no code. It follows modules of the named module's
+    package, and modules below the folder from which the named module is imported, unless these lie in a folder of
+    installed packages.
 
     Returns:
         Files by the module's name, without the named module itself.
@@ -115,19 +116,19 @@ def imported_files(name: str) -> dict[str, Path]:
 
 
 def parent_packages(module: str) -> list[str]:
-    """Names of the packages above a module, which its import runs first: ``a`` and ``a.b`` for ``a.b.c``."""
+    """Names of the packages above a module, such as ``a`` and ``a.b`` for ``a.b.c``; an import runs them first."""
     parts = module.split(".")
     return [".".join(parts[:count]) for count in range(1, len(parts))]
 
 
 def imported_names(module: str, file: Path) -> Iterator[str]:
-    """Names of the modules that a file's import statements may load, with the packages above each of them.
+    """Yield the names of the modules that a file's import statements may load, and of the packages above them.
 
-    Modules of Python and of this package are left out.
+    Modules of Python's standard library and of this package are left out.
 
     Args:
         module: Name of the module, against which relative imports are resolved.
-        file: File of the module; one that is not Python's source, such as a compiled module, yields no names.
+        file: File of the module; a file without Python source, such as a compiled module, yields no names.
     """
     if file.suffix != ".py":
         return
@@ -146,7 +147,7 @@ def imported_names(module: str, file: Path) -> Iterator[str]:
 def names_in_statement(node: ast.AST, package: list[str]) -> list[str]:
     """Names of the modules that an import statement may load; empty for any other statement.
 
-    In ``from a import b``, b may be a module or an object, so that both a and a.b are names.
+    In ``from a import b``, b may be a module or an object. So both ``a`` and ``a.b`` are among the names.
 
     Args:
         node: The statement.
@@ -166,7 +167,7 @@ def names_in_statement(node: ast.AST, package: list[str]) -> list[str]:
 
 
 def top_folder(module: str, file: Path) -> Path:
-    """The folder from which a module is imported: the one that contains the module's top package, or its only file.
+    """The folder from which a module is imported: the folder that contains its top package, or its single file.
 
     Args:
         module: Name of the module, such as ``a.b``, whose file is ``a/b.py`` or ``a/b/__init__.py`` below the folder.
@@ -199,7 +200,7 @@ def describe_code(table: Mapping[str, object], modules: Mapping[str, object] | N
 
     Args:
         table: Table of the study.
-        modules: Result of :func:`code_digests` when the study was run, to report changes; None if it is unknown.
+        modules: Result of :func:`code_digests` when the study was run, to report changes; None if unknown.
     """
     parts = [describe_modules(table, modules), *(native.text for native in native_files(table))]
     return "; ".join(filter(None, parts))
@@ -208,7 +209,7 @@ def describe_code(table: Mapping[str, object], modules: Mapping[str, object] | N
 def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] | None) -> str:
     """Describe each ``module:object`` that a study refers to and its file, in words; empty if there is none.
 
-    A module that these modules import is described only if it has changed since the run.
+    A user's module that these modules import is described only if it has changed since the run.
 
     Args:
         table: Table of the study.

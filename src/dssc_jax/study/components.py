@@ -48,22 +48,22 @@ class Component:
     elements: tuple[Element, ...] = ()
 
     def under(self, path: str, name: str) -> "Component":
-        """The component as a part of a whole: its numbers lie at ``path`` of the whole's parameters.
+        """Make the component a part of a whole: ``path`` precedes the paths of its numbers in the whole's parameters.
 
-        In the study, their dotted names begin with ``name``.
+        ``name`` precedes the dotted names of its numbers in the study.
         """
         return replace(self, numbers=tuple(number.under(path, name) for number in self.numbers))
 
 
 def lookup(kind: object, registry: Registry) -> Entry:
-    """Registry row of a kind; for a user's model ``package.module:object``, a new row with this model alone.
+    """Find the registry row of a kind; for a user's model ``package.module:object``, make a row with this model.
 
     Args:
         kind: Value of ``kind`` in a table.
         registry: Kinds of the package.
 
     Raises:
-        ConfigError: The kind is unknown, the user's object cannot be imported, or it is no model of this slot.
+        ConfigError: The kind is unknown, the user's object cannot be imported, or the object is no model of this slot.
     """
     if not isinstance(kind, str):
         raise ConfigError("kind", f"must be a name, got {kind!r}")
@@ -84,7 +84,7 @@ def lookup(kind: object, registry: Registry) -> Entry:
 
 
 def contract_of(registry: Registry) -> type:
-    """Type of all models in a registry, such as ``Plant``; ``type`` if the models are types of NamedTuples."""
+    """Common type of the models in a registry, such as ``Plant``; ``type`` if the models are NamedTuple types."""
     first_row = next(iter(registry.values()))
     first_model = next(iter(first_row.members.values()))
     return type(first_model)
@@ -99,7 +99,7 @@ def require_contract(kind: str, model: object, contract: type) -> None:
         contract: Type of the models in the slot, from :func:`contract_of`.
 
     Raises:
-        ConfigError: It has another type.
+        ConfigError: The model has another type.
     """
     if contract is type:
         expected = "a NamedTuple type"
@@ -112,10 +112,10 @@ def require_contract(kind: str, model: object, contract: type) -> None:
 
 
 def require_measure(kind: str, plant: Plant) -> None:
-    """Require that ``measure`` of a user's plant takes three arguments, parameters, state and input.
+    """Require that the function ``measure`` of a user's plant takes three arguments: parameters, state and input.
 
     Raises:
-        ConfigError: It takes other arguments.
+        ConfigError: The function takes another number of arguments.
     """
     params = state = drive = None  # only the number of arguments matters
     try:
@@ -126,10 +126,10 @@ def require_measure(kind: str, plant: Plant) -> None:
 
 
 def member_of(entry: Entry, table: TomlTable) -> Any:
-    """The model of a registry row for a table: from the table's file, the only one, or the one that its option selects.
+    """Select the model of a registry row for a table: from the table's file, the row's only model, or by its option.
 
     Raises:
-        ConfigError: The option has no such value, or the file is not valid.
+        ConfigError: The option does not have the stated value, or the file is not valid.
     """
     if entry.loaded is not None:
         return entry.loaded(table)
@@ -168,7 +168,7 @@ def parse_component(value: object, registry: Registry, path: str = "", default: 
         value: Table of the part.
         registry: Admissible kinds.
         path: Dotted path of the table, for messages.
-        default: Kind if the table states none; None if it must state one.
+        default: Kind of a table that states none; None: the table must state a kind.
 
     Raises:
         ConfigError: The table is not valid; the message has the path, the rule and the value of the first error.
@@ -206,7 +206,7 @@ def parse_params(
         choices: Valid names besides the fields, for messages.
 
     Raises:
-        ConfigError: The table is not valid; the message has the path within it, the rule and the value.
+        ConfigError: The table is not valid; the message has the path within the table, the rule and the value.
     """
     specs = field_specs(params)
     defaults = getattr(params, "_field_defaults", {}) if preset is None else preset._asdict()
@@ -230,16 +230,17 @@ def parse_params(
 
 
 def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable) -> tuple[Any, tuple[Number, ...]]:
-    """Parse the part in a field of a table: a list of tables, a table by names, a fixed table, or a table with a kind.
+    """Parse the part in a field of a table: a list of tables, a table by names, a fixed table, or a part with a kind.
 
     Args:
         name: Name of the field.
-        spec: Specification of the field.
-        table: Table with the field.
+        spec: Form of the field.
+        table: Table that may have the field.
         defaults: Default value of each field.
 
     Returns:
-        Parameters of the part, or None if neither the table nor the defaults have it, and the records of its numbers.
+        Parameters of the part, and the records of its numbers. The parameters are None for an optional part that
+        neither the table nor the defaults state.
 
     Raises:
         ConfigError: As in :func:`parse_params`, with the path within the part.
@@ -268,11 +269,11 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
 
 
 def parse_bare_number(value: object, kind: str, registry: Registry) -> tuple[Any, tuple[Number, ...]]:
-    """Parse a number in place of a part's table, as the first field of a part of this kind.
+    """Parse a number, law or expression in place of a part's table, as the first field of a part of this kind.
 
     Returns:
-        Parameters of the part, and the records of its numbers. The bare number has an empty name within the part, so
-        that the dotted name of the slot becomes its name in the study.
+        Parameters of the part, and the records of its numbers. The stated number has an empty name within the part. So
+        its name in the study is the dotted name of the slot.
 
     Raises:
         ConfigError: As in :func:`parse_params`.
@@ -286,11 +287,11 @@ def parse_bare_number(value: object, kind: str, registry: Registry) -> tuple[Any
 
 
 def parse_list(item: Any, value: object, preset: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Number, ...]]:
-    """Parse a list of tables, or a table of changes by index of a preset list.
+    """Parse a list of tables, or a table that changes some items of a preset list by their indices.
 
     Args:
         item: Parameter type of the items.
-        value: List of tables, table of changes, or None for the preset list.
+        value: List of tables, table of changes, or None for the unchanged preset list.
         preset: Items of the preset list.
 
     Returns:
@@ -318,7 +319,7 @@ def parse_list(item: Any, value: object, preset: tuple[Any, ...]) -> tuple[tuple
 
 
 def changes_of_items(table: TomlTable, count: int) -> list[TomlTable]:
-    """The changes of each item of a preset list, from a table by index; an empty table for an item that stays.
+    """Split a table of changes into one table for each item of a preset list; the table is empty if the item stays.
 
     Args:
         table: Table of changes, such as ``{"1": {...}}``.
@@ -336,7 +337,7 @@ def changes_of_items(table: TomlTable, count: int) -> list[TomlTable]:
 
 
 def parse_named(spec: FieldSpec, table: TomlTable) -> tuple[dict[str, Any], tuple[Number, ...]]:
-    """Parse a table whose keys are names that the study chooses, and whose items are numbers or parameters of one type.
+    """Parse a table by names that the study chooses; its items are numbers, or parameters of one type.
 
     Returns:
         The items by name, and the records of their numbers.
@@ -373,7 +374,7 @@ def parse_plain(table: TomlTable, params: Any, defaults: TomlTable, choices: tup
         Value of each plain field by name.
 
     Raises:
-        ConfigError: As in :func:`parse_params`; names that are not fields are unknown.
+        ConfigError: As in :func:`parse_params`; a name that is no plain field is reported as unknown.
     """
     specs = field_specs(params)
     model = table_model(params)

@@ -1,7 +1,7 @@
 """Correlated uncertain numbers: rank correlations from ``[correlation]``, realised by a Gaussian copula.
 
-The table states Spearman's rank correlation of pairs of numbers. Each number keeps its own law, and numbers in no pair
-remain independent.
+The table states Spearman's rank correlation of pairs of numbers. Each number keeps its own law. Numbers that are in no
+pair remain independent.
 """
 
 import math
@@ -46,7 +46,7 @@ def correlated_names(table: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def require_correlation(table: Mapping[str, float], laws: Collection[str], swept: Collection[str]) -> None:
-    """Require that ``[correlation]`` correlates uncertain numbers of the study, each pair once and all consistently.
+    """Require that ``[correlation]`` names pairs of uncertain numbers, each pair once, with consistent correlations.
 
     Args:
         table: Rank correlation of each pair, such as ``{"plant.k_p, plant.a_p": 0.5}``.
@@ -76,7 +76,7 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
 
 
 def correlation_matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray:
-    """Linear correlations of the copula's normal variables, in the order of ``names``, shape (n, n)."""
+    """Matrix of the linear correlations of the copula's normal variables, in the order of ``names``, shape (n, n)."""
     correlations = np.eye(len(names))
     for pair, rank in table.items():
         first, second = split_pair(pair)
@@ -91,7 +91,8 @@ def require_positive_definite(table: Mapping[str, float]) -> None:
     """Require that the correlation matrix is positive definite, so that numbers with all these correlations exist.
 
     Raises:
-        ConfigError: It is not; the message names the pair that lowers the smallest eigenvalue most.
+        ConfigError: The matrix is not positive definite; the message names the pair that lowers the smallest eigenvalue
+            most.
     """
     names = correlated_names(table)
     correlations = correlation_matrix(table, names)
@@ -103,7 +104,7 @@ def require_positive_definite(table: Mapping[str, float]) -> None:
     shares = correlations * np.outer(v, v)  # share v_i R_ij v_j of each entry in the eigenvalue v^T R v
 
     def share_of_eigenvalue(pair: str) -> float:
-        """Share of a pair's correlation in the smallest eigenvalue."""
+        """Contribution of a pair's correlation to the smallest eigenvalue."""
         first, second = split_pair(pair)
         return float(shares[names.index(first), names.index(second)])
 

@@ -1,4 +1,4 @@
-"""The form of a CSV file: its separator, its decimal sign, and whether all rows have as many cells as the header."""
+"""The form of a CSV file: separator, decimal sign, and the check that all rows have as many cells as the header."""
 
 import io
 import itertools
@@ -21,17 +21,17 @@ DECIMAL_POINT = re.compile(rb"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
 DECIMAL = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 """A number with or without a decimal point."""
 NO_NUMBERS = re.compile(rb"#(N/A|NUM!|DIV/0!|VALUE!|REF!|NAME\?|NULL!)")
-"""Error values of spreadsheets in place of a number; their ``#`` begins no comment."""
+"""Error values that spreadsheets write in place of a number; the ``#`` of an error value begins no comment."""
 FIRST_LINES = 100
-"""Lines at the start of a file from which its form is found."""
+"""Number of lines at the start of a file from which the form of the file is found."""
 LAST_LINES = 100
-"""Lines at the end of a file from which the median length of a number is taken."""
+"""Number of lines at the end of a file from which the median length of a number is taken."""
 SHORT = 0.7
 """Share of the median length of a number below which the last number of a file may be cut off."""
 
 
 class RecordWarning(UserWarning):
-    """Warning of a row in the file of a record that is left out, or may be damaged."""
+    """Warning that a row in the file of a record is left out, or may be damaged."""
 
 
 class CsvForm(NamedTuple):
@@ -46,8 +46,8 @@ class CsvLine(NamedTuple):
 
     Args:
         number: Number of the line in the file, from 1.
-        begin: Position of the first byte of the line in the file.
-        text: Content of the line without a comment.
+        begin: Offset of the first byte of the line in the file.
+        text: Content of the line without its comment, its line break and error values of spreadsheets.
     """
 
     number: int
@@ -66,12 +66,12 @@ def csv_lines(content: bytes) -> Iterator[CsvLine]:
 
 
 def csv_header(content: bytes) -> bytes:
-    """Text of the header of a CSV file; empty if the file has no line."""
+    """Text of the header of a CSV file; empty if the file has only empty lines and comments."""
     return next((line.text for line in csv_lines(content)), b"")
 
 
 def split_cells(text: bytes, separator: bytes) -> list[bytes]:
-    """Split a line into its cells; the content of quoted cells is dropped, since it may hold separators."""
+    """Split a line into its cells; quoted cells become empty, since they may contain separators."""
     return QUOTED.sub(b"", text).split(separator)
 
 
@@ -102,8 +102,8 @@ def csv_form(path: Path, content: bytes) -> CsvForm:
 def separator_of(header: bytes, rows: list[bytes]) -> bytes | None:
     """The separator of the cells of a CSV file; None if its header has none.
 
-    If the header contains several separators, the right one splits all lines into equally many cells. If this holds
-    for none or for several of them, the comma is taken.
+    If the header contains several separators, the result is the one that splits all lines into equally many cells. If
+    none or several of them do so, the result is the comma.
     """
     unquoted_header = QUOTED.sub(b"", header)
     separators = [separator for separator in SEPARATORS if separator in unquoted_header]
@@ -116,7 +116,12 @@ def separator_of(header: bytes, rows: list[bytes]) -> bytes | None:
 
 
 def decimal_sign(path: Path, rows: list[bytes], separator: bytes) -> str:
-    """The decimal sign of the numbers in rows whose cells a semicolon or a tab separates: ``,`` or ``.``.
+    """The decimal sign, ``,`` or ``.``, of the numbers in rows whose cells are separated by semicolons or tabs.
+
+    Args:
+        path: File, for messages.
+        rows: The rows.
+        separator: Separator of the cells.
 
     Raises:
         ConfigError: Some numbers have decimal commas and others points.
@@ -146,13 +151,15 @@ def are_numbers(texts: list[bytes]) -> bool:
 
 
 def has_equal_rows(header: bytes, rows: list[bytes], separator: bytes) -> bool:
-    """Whether every row has as many cells as the header."""
+    """Whether every row has as many cells as the header, if ``separator`` separates the cells."""
     count = len(split_cells(header, separator))
     return all(len(split_cells(row, separator)) == count for row in rows)
 
 
 def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
-    """Content of a CSV file up to its last whole row: a last row that is cut off, as by a full disk, is left out.
+    """Content of a CSV file without a last row that is cut off, as by a full disk.
+
+    A file in which a quoted cell spans several lines is returned unchecked.
 
     Args:
         path: File, for messages.

@@ -1,7 +1,7 @@
 """Logarithms of the densities of laws, for importance weights; minus infinity outside of a law's support.
 
-They follow the definitions in :mod:`dssc_jax.study.law_kinds`. Each function takes values x of any shape and the
-arguments of a law, in the order of the study file. The result has the shape of the values.
+The definitions of the laws are in :mod:`dssc_jax.study.law_kinds`. Each function takes values x of any shape, then the
+arguments of a law in the order of the study file. The result has the shape of x.
 """
 
 import numpy as np
@@ -11,12 +11,12 @@ LOG_ROOT_TWO_PI = 0.5 * float(np.log(2.0 * np.pi))
 
 
 def uniform(x: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Log density of the uniform law on [lo, hi]."""
+    """Log density of the uniform law on [low, high]."""
     return np.where((x >= low) & (x <= high), -np.log(high - low), -np.inf)
 
 
 def loguniform(x: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Log density of a number whose logarithm is uniform, on [lo, hi]."""
+    """Log density of a number in [low, high] whose logarithm is uniform; low > 0."""
     inside = (x >= low) & (x <= high)
     return np.where(inside, -np.log(np.where(inside, x, 1.0)) - np.log(np.log(high / low)), -np.inf)
 
@@ -27,10 +27,10 @@ def normal(x: np.ndarray, mean: float, std: float) -> np.ndarray:
 
 
 def truncated_normal(x: np.ndarray, mean: float, std: float, low: float, high: float) -> np.ndarray:
-    """Log density of the normal law (mean, standard deviation) truncated to [lo, hi].
+    """Log density of the normal law with a mean and a standard deviation, truncated to [low, high].
 
-    The mass of an interval above the mean is computed from the lower tail of the mirrored interval, which does not
-    cancel.
+    The probability of an interval above the mean is computed from the mirrored interval in the lower tail, where no
+    digits cancel.
     """
     lower = (low - mean) / std
     upper = (high - mean) / std
@@ -41,13 +41,13 @@ def truncated_normal(x: np.ndarray, mean: float, std: float, low: float, high: f
 
 
 def lognormal(x: np.ndarray, mean: float, std: float) -> np.ndarray:
-    """Log density of a number whose logarithm is normal, with a mean and a standard deviation."""
+    """Log density of a number whose logarithm is normal; mean and std are those of the logarithm."""
     logarithm = np.log(np.where(x > 0.0, x, 1.0))
     return np.where(x > 0.0, normal(logarithm, mean, std) - logarithm, -np.inf)
 
 
 def beta(x: np.ndarray, a: float, b: float, low: float = 0.0, high: float = 1.0) -> np.ndarray:
-    """Log density of the beta law with shape parameters a and b on [lo, hi]."""
+    """Log density of the beta law with shape parameters a and b on [low, high]."""
     inside = (x >= low) & (x <= high)
     share = np.where(inside, (x - low) / (high - low), 0.5)  # any value outside, where it is not used
     logarithm = scipy.special.xlogy(a - 1.0, share) + scipy.special.xlog1py(b - 1.0, -share)
@@ -55,7 +55,7 @@ def beta(x: np.ndarray, a: float, b: float, low: float = 0.0, high: float = 1.0)
 
 
 def triangular(x: np.ndarray, low: float, mode: float, high: float) -> np.ndarray:
-    """Log density of the triangular law on [lo, hi] with its peak at the mode."""
+    """Log density of the triangular law on [low, high] with its peak at the mode."""
     rising = np.divide(x - low, mode - low, out=np.ones_like(x), where=(low <= x) & (x < mode))
     falling = np.divide(high - x, high - mode, out=np.ones_like(x), where=(mode < x) & (x <= high))
     height = np.minimum(rising, falling)

@@ -1,4 +1,4 @@
-"""A study whose code is not loaded: a description in the results folder replaces its models.
+"""A study whose code is not loaded: a description in the results folder takes the place of its models.
 
 Reading a result requires names, units and meanings, but no models. If a study refers to code, its results folder stores
 this description, so that reading the folder does not run the code.
@@ -42,7 +42,7 @@ NO_EXTRA_FIELDS = ConfigDict(extra="forbid")
 class DescribedNumber(BaseModel):
     """A number of the loop, for JSON: unit, meaning and value.
 
-    The value is a number, the table of a law for an uncertain number, or the text of an expression.
+    The value is a plain number, the table of a law, or the text of an expression.
     """
 
     model_config = NO_EXTRA_FIELDS
@@ -60,7 +60,7 @@ class DescribedSignal(BaseModel):
 
 
 class DescribedMetric(BaseModel):
-    """A metric from the study's code, for JSON: unit, meaning, the fields of info that it needs, and scope."""
+    """A metric from the study's code, for JSON: unit, meaning, scope, and the fields of an info that it needs."""
 
     model_config = NO_EXTRA_FIELDS
     unit: str
@@ -75,14 +75,14 @@ class Description(BaseModel):
     Args:
         channels: Names of the channels; empty for a plant with one channel.
         angles: Names of the channels whose output is an angle.
-        units: Fields of :class:`ChannelUnits` for each channel: unit of output and command, meaning of both.
+        units: Fields of :class:`ChannelUnits` for each channel: units of output and command, then their meanings.
         numbers: Numbers of the loop by name.
         fields: Names of the fields in the controller's info, by channel.
         seen: Names of the fields in the plant's info.
         signals: Signals that requirements can name.
         metrics: Metrics of the study's code by name.
-        certified: Whether Theorem 1 holds at each point of the sweep; None if it does not apply.
-        silence: Why Theorem 1 does not apply, in words; empty if it does, or without the functions of Table 1.
+        certified: Whether Theorem 1 holds at each point of the sweep, nested lists; None if the theorem does not apply.
+        silence: Why Theorem 1 does not apply, in words; empty if it applies, or without the functions of Table 1.
     """
 
     model_config = NO_EXTRA_FIELDS
@@ -109,17 +109,20 @@ class UnloadedModel:
     error: ConfigError
 
     def __getattr__(self, name: str) -> Any:
-        """Raise the error on any attribute; dunder names raise AttributeError, so that copying and pickling work."""
+        """Raise the error for any attribute.
+
+        Names that begin with two underscores raise AttributeError instead, so that copying and pickling work.
+        """
         if name.startswith("__"):
             raise AttributeError(name)
         raise self.error
 
     def __iter__(self) -> Any:
-        """Raise the error on an iteration, as over the models of all channels."""
+        """Raise the error when the placeholder is iterated, as a tuple of the channels' models would be."""
         raise self.error
 
     def __call__(self, *_: object) -> Any:
-        """Raise the error on a call, as of a model's function."""
+        """Raise the error when the placeholder is called, as a model's function would be."""
         raise self.error
 
 
@@ -130,7 +133,7 @@ class Described(Study):
     Args:
         code: File and digest of the study's code at the time of the run.
         description: Names, units and meanings from the models.
-        refusal: Error when a simulation or a change is requested.
+        refusal: Error that is raised when a simulation or a change is requested.
     """
 
     code: JsonObject
@@ -205,7 +208,7 @@ def described_loop(description: Description, channels: tuple[str, ...], config: 
         description: Description of the models.
         channels: Names of the channels; one empty name for a plant with one channel.
         config: Fixed tables of the study, with the clock.
-        unloaded: The placeholder.
+        unloaded: Placeholder of type :class:`UnloadedModel`.
     """
     plant = Plant(
         params=NoParams,
@@ -237,14 +240,14 @@ def described_measures(
     parameters: ParameterTable,
     unloaded: Any,
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
-    """Metrics and requirements of a study, with a placeholder wherever its code would compute a value.
+    """Measures and requirements of a study, with a placeholder for every function of a model that is not loaded.
 
     Args:
         description: Description of the models.
         config: Fixed tables of the study.
         units: Units and meanings of each channel.
         parameters: Parameters of the study.
-        unloaded: The placeholder.
+        unloaded: Placeholder of type :class:`UnloadedModel`.
 
     Raises:
         ConfigError: The study names a metric or a signal that the description does not have.
@@ -278,7 +281,10 @@ def remedy_for(table: Mapping[str, object]) -> str:
 
 
 def described_numbers(description: Description, parameters: ParameterTable) -> dict[str, Number]:
-    """Record of each number of the loop by name; without paths in the loop's parameters, which need the models."""
+    """Record of each number of the loop by name.
+
+    The records have no paths in the loop's parameters, since these need the models.
+    """
     numbers = {}
     for name, entry in description.numbers.items():
         quantity = Quantity(entry.unit, entry.meaning)
@@ -297,8 +303,8 @@ def describe_study(study: Study, certified: np.ndarray | None, silence: str) -> 
 
     Args:
         study: The study, with its models.
-        certified: Whether Theorem 1 holds at each point of the sweep; None if it does not apply.
-        silence: Why Theorem 1 does not apply; empty if it does, or without the functions of Table 1.
+        certified: Whether Theorem 1 holds at each point of the sweep; None if the theorem does not apply.
+        silence: Why Theorem 1 does not apply; empty if it applies, or without the functions of Table 1.
     """
     numbers = {}
     for name, number in study.numbers.items():
@@ -336,7 +342,10 @@ def describe_study(study: Study, certified: np.ndarray | None, silence: str) -> 
 
 
 def stored_study(manifest: JsonObject, source: str, trust_code: bool) -> Study:
-    """The study of a results folder; a folder may come from anyone, so the study's code is loaded only on request.
+    """The study of a results folder.
+
+    A folder may come from anyone, so the study's own modules are imported only on request, and native code only if it
+    has been allowed before.
 
     Args:
         manifest: Manifest of the folder, with ``study`` and, if the study refers to code, ``code`` and ``described``.
@@ -344,7 +353,7 @@ def stored_study(manifest: JsonObject, source: str, trust_code: bool) -> Study:
         trust_code: Whether to import the code to which the study refers.
 
     Returns:
-        The study, or a :class:`Described` one in place of code that is not loaded.
+        The study; a :class:`Described` one if any of its code is not loaded.
 
     Raises:
         ConfigError: The study is not valid, or it refers to code and the manifest has no description.

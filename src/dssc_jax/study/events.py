@@ -25,7 +25,7 @@ class StudyEvent(NamedTuple):
     Args:
         path: Dotted path of the event's table, such as ``event.0``.
         part: The event, parsed.
-        channel: Channel whose sensor or command it changes; empty for every channel.
+        channel: Channel whose sensor or command the event changes; empty for every channel.
     """
 
     path: str
@@ -33,12 +33,12 @@ class StudyEvent(NamedTuple):
     channel: str
 
     def under(self, place: str) -> Component:
-        """The event as a part of the loop, with its numbers at ``place`` in the loop's parameters."""
+        """The event as a part of the loop, at the path ``place`` of the loop's parameters."""
         return self.part.under(place, self.path)
 
 
 def events_of(tables: list[TomlTable], plant: Component, channels: tuple[str, ...]) -> list[StudyEvent]:
-    """Parse the events of a study, after a check that they have a vehicle to happen to.
+    """Parse the events of a study, and require that the plant is a vehicle.
 
     Args:
         tables: Tables ``[[event]]``.
@@ -54,7 +54,7 @@ def events_of(tables: list[TomlTable], plant: Component, channels: tuple[str, ..
 
 
 def parse_events(tables: list[TomlTable], channels: tuple[str, ...]) -> list[StudyEvent]:
-    """Parse the tables ``[[event]]``; a table without a kind is a fault of a rotor.
+    """Parse the tables ``[[event]]``; a table without ``kind`` is a fault of a rotor.
 
     Args:
         tables: Tables ``[[event]]``.
@@ -81,10 +81,14 @@ def parse_events(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Stu
 
 
 def require_order(part: Component, path: str) -> None:
-    """Require that an event with an end can end after it begins.
+    """Require that an event with an end can last for a time: its latest end lies after its earliest begin.
+
+    Args:
+        part: The event, parsed.
+        path: Dotted path of the event, for messages.
 
     Raises:
-        ConfigError: It ends before it begins for all values of its laws.
+        ConfigError: The event ends before or when it begins, for all values of its laws.
     """
     until = getattr(part.params, "until", None)
     if until is None:
@@ -100,7 +104,8 @@ def require_remaining_mass(study_events: list[StudyEvent], mass: Scalar) -> None
     """Require that mass remains when the lightest vehicle has dropped the heaviest loads of all events.
 
     Args:
-        study_events: Events of the vehicle; ``mass`` of an event is the change of mass [kg], negative for a drop.
+        study_events: Events of the vehicle. The parameter ``mass`` of an event is the change of mass [kg], negative
+            for a dropped load.
         mass: Mass of the vehicle [kg], or its law.
 
     Raises:
@@ -118,7 +123,7 @@ def require_remaining_mass(study_events: list[StudyEvent], mass: Scalar) -> None
 
 
 def vehicle_events(events: list[StudyEvent], vehicle: Vehicle) -> tuple[Component, ...]:
-    """The events that act on the vehicle itself, as parts of the loop; their rotors must exist, and mass must remain.
+    """The events that act on the vehicle itself, as parts of the loop, after checks of rotors and mass.
 
     Args:
         events: All events of the study.
@@ -144,14 +149,14 @@ def vehicle_events(events: list[StudyEvent], vehicle: Vehicle) -> tuple[Componen
 
 
 def with_existing_rotors(number: Number, rotors: int) -> Number:
-    """A number of an event: ``rotor`` gets the number of rotors as its upper bound, also in sweeps; others stay."""
+    """Bound the number ``rotor`` of an event by the number of rotors, also in sweeps; any other number stays."""
     if number.name != "rotor":
         return number
     return replace(number, quantity=replace(number.quantity, at_most=rotors))
 
 
 def with_moved_paths(numbers: tuple[Number, ...], place: str, destination: str) -> tuple[Number, ...]:
-    """Numbers whose paths lead to ``destination`` where they led to ``place``; other paths stay.
+    """Copy numbers, with ``destination`` in place of ``place`` at the beginning of their paths; other paths stay.
 
     Args:
         numbers: The numbers.
@@ -171,15 +176,15 @@ def with_moved_paths(numbers: tuple[Number, ...], place: str, destination: str) 
 
 
 def behind_first(part: Component, place: str) -> Component:
-    """Actuators as the second and all further elements of a chain, so that an event fits before them.
+    """Move actuators to the second and the further places of a chain, so that an event fits before them.
 
     Args:
         part: A single actuator, or a chain.
-        place: Its place in the loop's parameters.
+        place: Place of the actuators in the loop's parameters, such as ``unmodelled.0``.
 
     Returns:
-        A chain without its first element, which the caller adds. It has the elements and parameters of ``part``, and
-        the paths of its numbers already count from index 1.
+        A chain whose first element is still missing; the caller adds it. The elements and the parameters are those of
+        ``part``; the paths of the numbers already count the elements from index 1.
     """
     if not part.elements:  # a single actuator
         numbers = with_moved_paths(part.numbers, place, f"{place}.1")
@@ -191,7 +196,7 @@ def behind_first(part: Component, place: str) -> Component:
 
 
 def sensor_with_event(sensor: Component, study_event: StudyEvent, place: str) -> Component:
-    """A sensor whose readings an event changes.
+    """Wrap a sensor so that an event changes its readings.
 
     Args:
         sensor: The sensor.
@@ -209,7 +214,7 @@ def sensor_with_event(sensor: Component, study_event: StudyEvent, place: str) ->
 
 
 def chain_with_event(actuators: Component, study_event: StudyEvent, place: str) -> Component:
-    """The chain of an event that changes the command and of the actuators behind it.
+    """Make the chain of an event, which changes the command, and the actuators that follow the event.
 
     Args:
         actuators: The actuators of a channel.
@@ -241,7 +246,7 @@ CHANNEL_EVENTS: dict[str, tuple[type, Callable[[Component, StudyEvent, str], Com
 def with_channel_events(
     column: Sequence[Component], events: list[StudyEvent], channels: tuple[str, ...], slot: str
 ) -> list[Component]:
-    """The part of each channel in a slot, with the events that change it.
+    """Add to the part of each channel in a slot the events that change this part.
 
     Args:
         column: Part of each channel.

@@ -1,6 +1,6 @@
 """The language of expressions such as ``=1/(L*C)``: parsing, and evaluation in numbers, arrays or intervals.
 
-Python's parser reads the text, and only listed kinds of its nodes are admitted. Nothing is executed.
+Python's parser reads the text. The language admits only certain kinds of nodes, and the text is never executed.
 """
 
 import ast
@@ -39,12 +39,12 @@ class UnknownParameter(ValueError):
 
 @dataclass(frozen=True)
 class Operation:
-    """An operation of the language, in both arithmetics: of numbers, and of intervals.
+    """An operation of the language, for numbers and for intervals.
 
     Args:
-        ufunc: Name of the operation in NumPy and JAX.
-        interval: The operation on intervals.
-        is_variadic: Whether it takes two or more arguments, which are combined two at a time.
+        ufunc: Name of the operation's function in NumPy and JAX.
+        interval: The operation for intervals.
+        is_variadic: Whether the operation takes two or more arguments, which are combined two at a time.
     """
 
     ufunc: str
@@ -76,7 +76,7 @@ GRAMMAR = f"numbers, parameters, + - * / **, parentheses, pi and {', '.join(FUNC
 
 
 def is_expression(value: object) -> TypeGuard[str]:
-    """Whether a value of a study's table is an expression."""
+    """Whether a value of a study's table is an expression: a text that begins with :data:`MARK`."""
     return isinstance(value, str) and value.lstrip().startswith(MARK)
 
 
@@ -112,7 +112,7 @@ def require_language(node: ast.expr, body: str, depth: int) -> None:
     Args:
         node: Root of the tree or of the part.
         body: Text of the whole expression, for messages.
-        depth: Depth of the node in the whole tree; 0 for its root.
+        depth: Depth of the node in the whole tree; 0 for the root of the tree.
 
     Raises:
         ValueError: A node is not admissible, or lies too deep.
@@ -159,7 +159,7 @@ def require_call(name: str, count: int) -> None:
         count: Number of arguments in the call.
 
     Raises:
-        ValueError: It has none, or the function takes another number.
+        ValueError: The language has no such function, or the function takes another number of arguments.
     """
     if name not in FUNCTIONS:
         raise ValueError(f"'{name}' is no function of expressions; {nearest(name, FUNCTIONS)}")
@@ -170,7 +170,7 @@ def require_call(name: str, count: int) -> None:
 
 
 def excerpt(text: str) -> str:
-    """The first :data:`EXCERPT` characters of a text, for messages."""
+    """The first :data:`EXCERPT` characters of a text, for messages, followed by dots if the text is longer."""
     return text if len(text) <= EXCERPT else f"{text[:EXCERPT]}..."
 
 
@@ -180,7 +180,7 @@ def names_of(tree: ast.expr) -> tuple[str, ...]:
 
 
 def names_in(node: ast.expr) -> Iterator[str]:
-    """Yield the name of the parameter at each of its occurrences in a tree, in the order of the text."""
+    """Yield the names of the parameters in a tree, as often as they occur, in the order of the text."""
     match node:
         case ast.Name(id=name) if name != PI:
             yield name
@@ -197,12 +197,12 @@ def names_in(node: ast.expr) -> Iterator[str]:
 def evaluate(
     node: ast.expr, value_of: Callable[[str], Value], number: Callable[[float], Value], apply: "Apply[Value]"
 ) -> Value:
-    """Value of an expression, in any arithmetic that three functions define, such as interval arithmetic.
+    """Evaluate an expression in an arithmetic that three functions define, such as interval arithmetic.
 
     Args:
         node: Tree from :func:`parse_expression`.
-        value_of: (name of a parameter) -> its value.
-        number: (constant) -> its value.
+        value_of: (name of a parameter) -> value in this arithmetic.
+        number: (constant) -> value in this arithmetic.
         apply: (operation, value of each operand) -> result.
     """
 
@@ -237,9 +237,9 @@ Apply = Callable[..., Value]
 
 
 def apply_to_numbers(operation: Operation, *values: Numeric) -> Numeric:
-    """Result of an operation on numbers, arrays or traced values; a plain float for plain numbers.
+    """Apply an operation to numbers, arrays or traced values; the result of plain numbers is a plain float.
 
-    An undefined result, such as 1/0, is infinite or NaN; no error is raised.
+    An undefined result, such as that of 1/0, is infinite or NaN, and raises no error.
     """
     xp = namespace(*values)
     if operation.ufunc == "power" and xp is not np and is_whole_exponent(values[1]):
@@ -254,11 +254,11 @@ def is_whole_exponent(exponent: Numeric) -> bool:
 
 
 def evaluate_numbers(tree: ast.expr, value_of: Callable[[str], Numeric]) -> Numeric:
-    """Value of an expression for numbers, arrays or traced values of its parameters; infinite or NaN where undefined.
+    """Evaluate an expression for numbers, arrays or traced values; the value is infinite or NaN where undefined.
 
     Args:
         tree: Tree from :func:`parse_expression`.
-        value_of: (name of a parameter) -> its value.
+        value_of: (name of a parameter) -> value of the parameter.
     """
     with np.errstate(all="ignore"):
         return evaluate(tree, value_of, float, apply_to_numbers)
@@ -269,15 +269,15 @@ def evaluate_intervals(tree: ast.expr, value_of: Callable[[str], Interval]) -> I
 
     Args:
         tree: Tree from :func:`parse_expression`.
-        value_of: (name of a parameter) -> its interval.
+        value_of: (name of a parameter) -> interval of the parameter.
     """
 
     def exact_interval(value: float) -> Interval:
-        """The interval of a single number."""
+        """Interval that contains a single number."""
         return Interval.of(value, value)
 
     def apply_to_intervals(operation: Operation, *values: Interval) -> Interval:
-        """Interval that contains all results of an operation on numbers of these intervals."""
+        """Interval that contains all results of an operation whose operands lie in these intervals."""
         return operation.interval(*values)
 
     with np.errstate(all="ignore"):

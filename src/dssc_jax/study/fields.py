@@ -23,9 +23,9 @@ def is_record(model: object) -> bool:
 
 @dataclass(frozen=True)
 class FieldSpec:
-    """Form of one field of a parameter type in a study's table: a number, a part, a text or an option.
+    """Form of one field of a parameter type in a study's table: a number, a part, a text, an option or a flag.
 
-    It follows from the field's annotation.
+    The form follows from the annotation of the field.
 
     Args:
         mark: Quantity of a number, or slot of a part with a ``kind``; None for any other field.
@@ -88,7 +88,7 @@ class FieldSpec:
     def is_derived(self) -> bool:
         """Whether the model's ``prepare`` computes the field, so that a study must not set it.
 
-        A study sets numbers, parts, texts, options and flags.
+        These are all fields other than numbers, parts, texts, options and flags.
         """
         return not (self.mark or self.is_part or self.is_text or self.enum or self.hint is bool)
 
@@ -113,13 +113,15 @@ def field_specs(params: type) -> dict[str, FieldSpec]:
 
 
 def in_order(part: Any) -> Any:
-    """The part itself, whose numbers must lie below those that their quantities name in ``less_than``.
+    """Return a part after a check of the order of its numbers, which their quantities state by ``less_than``.
+
+    A number must be below the number that its ``less_than`` names, for all values of both laws.
 
     Args:
-        part: A NamedTuple of parameters, with numbers or laws. An absent number has no order.
+        part: A NamedTuple of parameters, with numbers or laws. Numbers that are None are not compared.
 
     Raises:
-        ConfigError: For some values of their laws a number is not below the other, or the part has no such number.
+        ConfigError: A number may reach or exceed the number that should be larger, or the part has no such field.
     """
     for name, spec in field_specs(type(part)).items():
         larger_name = spec.mark.less_than if isinstance(spec.mark, Quantity) else None
@@ -135,7 +137,7 @@ def in_order(part: Any) -> Any:
 
 
 def number_type(quantity: Quantity, depth: int, optional: bool) -> Any:
-    """Type of a field for pydantic, which parses a number or nested lists of numbers.
+    """Type with which pydantic parses a field: a number, or nested lists of numbers.
 
     Args:
         quantity: Unit, meaning and admissible interval of each number.
@@ -156,7 +158,7 @@ def number_type(quantity: Quantity, depth: int, optional: bool) -> Any:
 def table_model(params: type) -> type[BaseModel]:
     """Pydantic's model of the plain fields of a parameter type: numbers, lists of numbers, texts, options and flags.
 
-    Every field is required, since :func:`dssc_jax.study.components.parse_plain` fills in the defaults before.
+    The model requires every field: :func:`dssc_jax.study.components.parse_plain` fills in the defaults beforehand.
     """
     fields: dict[str, Any] = {}
     for name, spec in field_specs(params).items():

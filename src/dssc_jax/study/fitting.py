@@ -1,6 +1,6 @@
 """Controllers whose gains are fitted to the nominal plant when a study is read.
 
-In the nominal plant, each law has its nominal value.
+In the nominal plant, each uncertain number has the nominal value of its law.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ COMMAND_DISTURBANCE = "disturbance"
 def setting_of(
     plant: Plant, params: Params, sample_time: float, measured_signals: Sequence[NamedSignal]
 ) -> LoopSetting:
-    """The setting to which a controller of this loop is fitted: sample time, measured signals and nominal plant.
+    """The setting to which a controller's gains are fitted: sample time, measured signals and nominal plant.
 
     Args:
         plant: Model of the plant.
@@ -38,7 +38,7 @@ def setting_of(
         measured_signals: Signals that the loop measures besides y and y'.
 
     Returns:
-        The setting; without a nominal plant if the plant is nonlinear or has several channels.
+        The setting; its nominal plant is None if the plant is nonlinear or has several channels.
     """
     names = tuple(signal.name for signal in measured_signals)
     is_linear = plant.linear is not None and plant.remainder is None
@@ -50,8 +50,8 @@ def setting_of(
 def nominal_plant(plant: Plant, params: Params, signal_names: Sequence[str]) -> NominalPlant:
     """Matrices of a linear plant with one channel, in plain numbers, for the design of its controller.
 
-    The plant declares the matrices of its state equation. The rows of the output and of the measured signals are
-    derivatives of its functions ``measure`` and ``monitor``.
+    The plant declares the matrices of its state equation. Derivatives of its functions ``measure`` and ``monitor`` give
+    the rows of the output and of the measured signals.
 
     Args:
         plant: Model of the plant, with ``linear``.
@@ -66,7 +66,7 @@ def nominal_plant(plant: Plant, params: Params, signal_names: Sequence[str]) -> 
     quiet = quiet_inputs(plant, params)
 
     def signals(x: jax.Array, command: Scalar) -> jax.Array:
-        """The output y, then the measured signals, shape (1 + m,), at a state x and a command without disturbances."""
+        """The output y, then the m measured signals, shape (1 + m,), for a state and a command, undisturbed."""
         state = structure.unflatten(list(x))
         drive = PlantInput(command, disturbance=0.0, wind=None, inputs=quiet)
         measurement = plant.measure(params, state, drive)
@@ -97,7 +97,7 @@ def fitted_controllers(
     sample_time: float,
     measured_signals: Sequence[NamedSignal],
 ) -> list[Component]:
-    """The controllers of a loop, with fitted gains where the model of a controller has ``fit``.
+    """Fit the gains of each controller whose model has the function ``fit``; other controllers stay as they are.
 
     Args:
         controllers: Controller of each channel, parsed.

@@ -21,7 +21,7 @@ MIXED_UNIT = "SI"
 
 @dataclass(frozen=True)
 class ExpressionDifference:
-    """Difference of two expressions at a sample, which is positive if their comparison is true.
+    """Difference of the two sides of a comparison at a sample; it is positive if the comparison is true.
 
     Args:
         upper: Text of the expression that must be the larger one.
@@ -46,10 +46,15 @@ class ExpressionDifference:
 
 
 def unit_of(node: ast.expr, units: Mapping[str, str]) -> str | None:
-    """Unit of an expression, from the units of its signals by name.
+    """Unit of an expression, from the units of its signals.
+
+    Args:
+        node: Tree of the expression, or of a part of it.
+        units: Unit of each signal by name; other names are parameters, which have no unit.
 
     Returns:
-        None for a plain number; :data:`MIXED_UNIT` where signals are multiplied, or units differ.
+        The unit; None for an expression without signals; :data:`MIXED_UNIT` if units differ, or if an operation other
+        than a sum, a difference, ``abs``, ``min`` or ``max`` acts on a signal.
     """
     match node:
         case ast.Name(id=name):
@@ -67,12 +72,12 @@ def unit_of(node: ast.expr, units: Mapping[str, str]) -> str | None:
 
 
 class ParsedComparison(NamedTuple):
-    """A comparison, with what its formula's requirement takes from it.
+    """A parsed comparison, with the unit and the sizes from which the requirement of its formula follows.
 
     Args:
         comparison: The comparison, as a leaf of the formula's tree.
-        unit: Unit of both sides; :data:`MIXED_UNIT` if neither has one, or if they differ.
-        sizes: Magnitudes other than 0 of the sides without a signal.
+        unit: Common unit of both sides; :data:`MIXED_UNIT` if there is none.
+        sizes: Magnitude of each side without a signal, unless it is 0.
     """
 
     comparison: Comparison
@@ -89,7 +94,7 @@ def parse_comparison(
         upper: Text of the expression that must be the larger one.
         lower: Text of the expression that must be the smaller one.
         signals: Signals of the loop by name.
-        parameter: (name of a parameter) -> its value; raises UnknownParameter for an unknown name.
+        parameter: (name of a parameter) -> value of the parameter; raises UnknownParameter for an unknown name.
 
     Raises:
         ValueError: An expression is not valid, names something unknown, or is a number that is not finite; or neither
@@ -118,12 +123,12 @@ def parse_comparison(
 
 
 def parameter_value(name: str, signals: Mapping[str, SampledSignal], parameter: Callable[[str], float]) -> float:
-    """Value of a parameter that a formula names; if it does not exist, the name may be a misspelt signal.
+    """Value of a parameter that a formula names; for an unknown name, the error proposes the nearest signal.
 
     Args:
         name: Name of the parameter.
         signals: Signals of the loop by name, for messages.
-        parameter: (name of a parameter) -> its value; raises UnknownParameter for an unknown name.
+        parameter: (name of a parameter) -> value of the parameter; raises UnknownParameter for an unknown name.
 
     Raises:
         ValueError: There is no parameter of this name, or it has no plain number.

@@ -18,7 +18,7 @@ SMOOTHING = 0.01
 MOST_MEMORY = 8000  # most samples in the delay lines of a formula
 
 Constants: TypeAlias = Callable[[str, str], float]
-"""(text of an expression, place in the study that needs it) -> its value, a plain number."""
+"""(text of an expression, place in the study that needs the value) -> value, a plain number."""
 
 TIME = SampledSignal("s", "time", lambda instant: instant.t)
 VEHICLE_SIGNALS = {
@@ -44,17 +44,19 @@ def formula_signals(loop_signals: Mapping[str, SampledSignal]) -> dict[str, Samp
 def formula_requirement(
     table: RequirementTable, place: str, config: StudyTable, signals: Mapping[str, SampledSignal], parameters: Constants
 ) -> Requirement:
-    """Parse the requirement that a formula is true: its robustness, a metric, must be at least 0.
+    """Parse the requirement that a formula is true.
+
+    The metric of the requirement is the formula's robustness, which must be at least 0.
 
     Args:
         table: Table of the requirement, which has a formula.
         place: Dotted path of the table, such as ``requirement.0``.
         config: Tables of the study.
         signals: Signals that the formula can name.
-        parameters: (text of an expression, place that needs it) -> value, a plain number.
+        parameters: (text of an expression, place that needs the value) -> value, a plain number.
 
     Raises:
-        ConfigError: The formula is not valid.
+        ConfigError: The formula is not valid, needs too many past samples, or the study ends settled draws early.
     """
     place_of_text = f"{place}.formula"
     text = " ".join(str(table.formula).split())

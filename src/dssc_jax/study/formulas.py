@@ -36,7 +36,7 @@ LONGEST_FORMULA = 1000
 DEEPEST_FORMULA = 30
 ROUNDING = 1e-9  # share of a sample within which the end of an interval counts as a sample
 TO_THE_END = -1
-"""End of a temporal operator without an interval, until :func:`with_intervals` replaces it by the last sample."""
+"""Stands for the end of an operator without an interval, until :func:`with_intervals` puts in the actual end."""
 
 
 class ParsedFormula(NamedTuple):
@@ -45,7 +45,7 @@ class ParsedFormula(NamedTuple):
     Args:
         formula: Tree of the formula.
         unit: Unit of all comparisons, or :data:`MIXED_UNIT`.
-        size: Smallest magnitude other than 0 with which a signal is compared; None if there is none.
+        size: Smallest magnitude, other than 0, with which signals are compared; None if there is none.
     """
 
     formula: Formula
@@ -60,14 +60,14 @@ class FormulaParser:
     Args:
         text: Text of the formula.
         signals: Signals of the loop by name.
-        parameter: (name of a parameter) -> its value; raises UnknownParameter for an unknown name.
+        parameter: (name of a parameter) -> value of the parameter; raises UnknownParameter for an unknown name.
         sample_time: Sample time T_s [s].
         steps: Number of samples of a flight.
-        tokens: Tokens of the text, which :meth:`parse` finds.
+        tokens: Tokens of the text, which :meth:`parse` fills in.
         position: Index of the next token.
-        depth: Number of rules within each other at the next token.
-        units: Units of the comparisons before the next token.
-        sizes: Magnitudes other than 0 with which these comparisons compare signals.
+        depth: Nesting depth of the grammar's rules at the next token.
+        units: Units of the comparisons that have been parsed.
+        sizes: Magnitudes other than 0 with which the parsed comparisons compare signals.
     """
 
     text: str
@@ -99,10 +99,10 @@ class FormulaParser:
         return ParsedFormula(formula, unit, min(self.sizes, default=None))
 
     def require_time(self, required_steps: int) -> None:
-        """Require that a flight has a sample this many samples after its first one.
+        """Require that a flight has a sample ``required_steps`` samples after its first one.
 
         Raises:
-            ValueError: It ends before.
+            ValueError: The flight ends before this sample.
         """
         if required_steps < self.steps:
             return
@@ -119,7 +119,7 @@ class FormulaParser:
 
     @property
     def token(self) -> str:
-        """Text of the next token; empty at the end."""
+        """Text of the next token; empty at the end of the formula."""
         return self.tokens[self.position].text if self.position < len(self.tokens) else ""
 
     def place(self) -> str:
@@ -129,7 +129,7 @@ class FormulaParser:
         return f"after {text_before[-30:]!r}" if text_before else "at the beginning"
 
     def take(self, text: str) -> bool:
-        """Consume the next token if it has this text; the result is whether it has."""
+        """Consume the next token if it has this text, and return whether it has."""
         if self.token != text:
             return False
         self.position += 1
@@ -139,7 +139,7 @@ class FormulaParser:
         """Consume the next token, which must have this text.
 
         Raises:
-            ValueError: It has another text.
+            ValueError: The next token has another text.
         """
         if not self.take(text):
             raise ValueError(f"{self.place()}: expected '{text}', got {self.token!r}")
@@ -156,10 +156,10 @@ class FormulaParser:
         return formula
 
     def descend(self) -> None:
-        """Count one more rule within the others, so that no formula exhausts Python's stack.
+        """Enter one more nested rule; the limit of the depth keeps a formula from exhausting Python's stack.
 
         Raises:
-            ValueError: More than :data:`DEEPEST_FORMULA` rules lie within each other.
+            ValueError: The rules are nested more than :data:`DEEPEST_FORMULA` deep.
         """
         self.depth += 1
         if self.depth > DEEPEST_FORMULA:
@@ -195,7 +195,7 @@ class FormulaParser:
         return formula
 
     def operand(self) -> Formula:
-        """Parse what :meth:`unary` parses, without counting the depth."""
+        """Parse the same as :meth:`unary`, without counting the depth."""
         if self.take("not"):
             return Not(self.unary())
         if self.take("always"):
@@ -212,7 +212,7 @@ class FormulaParser:
         return self.comparison()
 
     def is_formula_within(self) -> bool:
-        """Whether the parenthesis that opens here contains a formula, rather than a part of an expression."""
+        """Whether the parenthesis at the next token contains a formula, rather than a part of an expression."""
         open_parentheses = 0
         for token in self.tokens[self.position :]:
             if token.text == "(":
@@ -229,8 +229,11 @@ class FormulaParser:
         """Parse the interval of a temporal operator, such as ``[0.5, 2]`` in seconds.
 
         Returns:
-            First and last sample of the interval, counted from the instant at which the operator is evaluated; 0 and
-            :data:`TO_THE_END` without an interval.
+            First and last sample of the interval, counted from the sample at which the operator is evaluated. If the
+            operator has no interval, they are 0 and :data:`TO_THE_END`.
+
+        Raises:
+            ValueError: The interval is not valid, or contains no sample.
         """
         if not self.take("["):
             return 0, TO_THE_END
@@ -254,7 +257,7 @@ class FormulaParser:
         return float(evaluate_numbers(parse_expression(text), self.parameter))
 
     def comparison(self) -> Formula:
-        """Parse a comparison, or a chain of comparisons such as ``-1 < e < 1``, which must all hold."""
+        """Parse a comparison, or a chain of comparisons such as ``-1 < e < 1``, all of which must hold."""
         sides = [self.expression(COMPARISONS)]
         parts: list[Formula] = []
         while self.token in COMPARISONS:
@@ -272,10 +275,10 @@ class FormulaParser:
         return parts[0] if len(parts) == 1 else And(tuple(parts))
 
     def expression(self, ends: tuple[str, ...]) -> str:
-        """Consume the expression that begins at the next token; the result is its text.
+        """Consume the expression that begins at the next token, and return its text.
 
-        It ends before one of the tokens ``ends``, a word of formulas, or a parenthesis or bracket that it does not
-        open.
+        The expression ends before one of the tokens ``ends``, before a word of the formula language such as ``and``,
+        or before a closing parenthesis or bracket that the expression has not opened.
         """
         open_parentheses = 0
         start = self.position
@@ -295,7 +298,7 @@ class FormulaParser:
         return self.text[tokens[0].start : last_token.start + len(last_token.text)]
 
     def comparison_of(self, upper: str, lower: str) -> Comparison:
-        """Parse the comparison that ``upper`` exceeds ``lower``, and record its unit and the size of its numbers."""
+        """Parse the comparison ``lower < upper``, and record its unit and the size of its numbers."""
         parsed = parse_comparison(upper, lower, self.signals, self.parameter)
         self.units.add(parsed.unit)
         self.sizes += parsed.sizes
@@ -303,10 +306,10 @@ class FormulaParser:
 
 
 def with_intervals(formula: Formula, steps: int, outermost: bool) -> Formula:
-    """The formula in which temporal operators without an interval extend to the end of the flight.
+    """Copy a formula, in which temporal operators without an interval extend to the end of the flight.
 
     Args:
-        formula: Formula, in which such operators end at :data:`TO_THE_END`.
+        formula: Formula; the end of an operator without an interval is :data:`TO_THE_END`.
         steps: Number of samples of a flight.
         outermost: Whether no temporal operator surrounds the formula.
 
@@ -315,9 +318,9 @@ def with_intervals(formula: Formula, steps: int, outermost: bool) -> Formula:
     """
 
     def interval_end(end: int, *operands: Formula) -> int:
-        """End of an operator's interval in samples; in place of :data:`TO_THE_END`, the latest end that the flight has.
+        """End of an operator's interval in samples; for :data:`TO_THE_END`, the latest possible end.
 
-        At that end the operands, which read later samples up to their horizon, still end within the flight.
+        The operands read samples after that end, up to their horizon, and these samples still lie within the flight.
         """
         if end != TO_THE_END:
             return end

@@ -18,7 +18,7 @@ WHERE_MODULES_ARE = (
 def allow_imports(folder: str | Path) -> None:
     """Add a folder to the places from which modules are imported.
 
-    It comes last in the search, so that none of its files hides an installed module.
+    The folder comes last in the search, so that none of its files hides an installed module.
     """
     place = str(Path(folder).resolve())
     if place not in sys.path:
@@ -29,11 +29,11 @@ def allow_imports(folder: str | Path) -> None:
 def import_object(name: str, place: str) -> Any:
     """Import a user's object by its name ``package.module:object``.
 
-    What the module prints goes to the error stream, so that it does not mix with a command's output.
+    Text that the module prints goes to the error stream, so that it does not mix with the output of a command.
 
     Args:
         name: Name of the object.
-        place: Place of the study that names it, for messages.
+        place: Place of the study that names the object, for messages.
 
     Raises:
         ConfigError: The object cannot be imported; the message has a remedy.

@@ -1,4 +1,4 @@
-"""The study of one draw: the draw's numbers take the place of laws, and the controllers stay as in the whole study."""
+"""The study of one draw: its numbers take the place of laws, and the controllers stay as in the whole study."""
 
 from collections.abc import Mapping
 
@@ -9,15 +9,15 @@ from dssc_jax.study.laws import UncertainValue
 from dssc_jax.study.study import Study
 
 POINT = "point"
-"""Name of the law of a single value whose nominal value may differ from it."""
+"""Name of the law with a single value, whose nominal value may be another one."""
 
 
 def study_of_draw(study: Study, numbers: Mapping[str, float]) -> Study:
-    """Make the study of one draw, in which the draw flies exactly as it did among all draws.
+    """Make the study of one draw, which flies exactly as among all draws of the given study.
 
     Some values follow from nominal numbers when a study is read, such as the gains of a fitted controller or the mass
-    that an inner loop assumes. If plain numbers in place of laws would change these values, each law becomes a law
-    ``point`` of the draw's number, which keeps the nominal value.
+    that an inner loop assumes. Plain numbers in place of the laws may change such a value. In this case, each law is
+    replaced by a law ``point`` with the draw's number and the nominal value of the former law.
 
     Args:
         study: Study without a sweep.
@@ -37,7 +37,7 @@ def study_of_draw(study: Study, numbers: Mapping[str, float]) -> Study:
 
 
 def certain_values_agree(study: Study, plain: Study) -> bool:
-    """Whether replacing the laws by numbers leaves every value without a law unchanged.
+    """Whether every value without a law is the same in a study and in the study with numbers in place of its laws.
 
     Args:
         study: The study, whose template contains laws.

@@ -1,7 +1,7 @@
 """The families of probability laws, such as ``uniform`` and ``normal``, by the name in a study.
 
-A law maps levels in the unit interval to values by its quantile function. So random, Sobol and Latin-hypercube points
-can all be used.
+The quantile function of a law maps levels in the unit interval to values. So random, Sobol and Latin-hypercube points
+can all be used as levels.
 """
 
 import math
@@ -16,7 +16,7 @@ from dssc_jax.study import densities
 
 
 class ArgumentRule(NamedTuple):
-    """A rule that the arguments of a law must satisfy: in words, and its test."""
+    """A rule that the arguments of a law must satisfy, in words and as a test ``(*arguments)`` -> whether it holds."""
 
     text: str
     holds: Callable[..., bool]
@@ -26,20 +26,21 @@ class ArgumentRule(NamedTuple):
 class LawKind:
     """A family of laws, such as the uniform laws on all intervals.
 
-    Each function takes the arguments of a law, in the order of the study file; levels or values come before them.
+    Each function takes the arguments of a law in the order of the study file. Levels or values precede them.
 
     Args:
         signature: Arguments as text, such as ``[lo, hi]``.
-        counts: Admissible numbers of arguments; None: one or more.
+        counts: Admissible numbers of arguments; None: at least one argument.
         rule: Rule that the arguments must satisfy.
         support: ``(*arguments)`` -> lowest and highest value.
         quantile: ``(probability, *arguments)`` -> inverse of the distribution function at probabilities in (0, 1), in
-            their shape.
+            the shape of the probabilities.
         roles: One letter for each argument: ``l`` for a location, ``s`` for a scale, ``.`` for a shape. Empty if the
             law can be neither moved nor widened.
         logarithmic: Whether values spread about the median on a logarithmic scale.
-        log_density: ``(x, *arguments)`` -> logarithm of the density at values x; None if arguments may not be ranges.
-        nominal: ``(*arguments)`` -> nominal value; None: the median is nominal.
+        log_density: ``(x, *arguments)`` -> logarithm of the density at values x. None: the law has no density, and its
+            arguments may not be ranges.
+        nominal: ``(*arguments)`` -> nominal value; None: the nominal value is the median.
         discrete: Whether all values of the law are among its arguments.
     """
 
@@ -56,15 +57,16 @@ class LawKind:
 
     @property
     def argument_names(self) -> tuple[str, ...]:
-        """Names of the arguments, as many as the law can have: the last list in the signature."""
+        """Names of all arguments that the law can have, from the last list in the signature."""
         _, _, names = self.signature.rpartition("[")
         return tuple(names.removesuffix("]").split(", "))
 
 
 def truncated_quantile(probability: np.ndarray, mean: float, std: float, low: float, high: float) -> np.ndarray:
-    """Compute quantiles of a normal law (mean, standard deviation) truncated to [lo, hi].
+    """Compute quantiles of a normal law with a mean and a standard deviation, truncated to [low, high].
 
-    An interval above the mean is mirrored: its probabilities, which are near 1, would cancel.
+    An interval above the mean is mirrored at the mean. Its probabilities are near 1, so that their difference would
+    lose digits by cancellation.
     """
     low_score = (low - mean) / std
     high_score = (high - mean) / std
@@ -80,7 +82,7 @@ def truncated_quantile(probability: np.ndarray, mean: float, std: float, low: fl
 
 
 def triangular_quantile(probability: np.ndarray, low: float, mode: float, high: float) -> np.ndarray:
-    """Compute quantiles of the triangular law on [lo, hi] with its peak at the mode."""
+    """Compute quantiles of the triangular law on [low, high] with its peak at the mode."""
     width = high - low
     rising = low + np.sqrt(probability * width * (mode - low))
     falling = high - np.sqrt((1.0 - probability) * width * (high - mode))
@@ -88,7 +90,7 @@ def triangular_quantile(probability: np.ndarray, low: float, mode: float, high: 
 
 
 def beta_quantile(probability: np.ndarray, a: float, b: float, low: float = 0.0, high: float = 1.0) -> np.ndarray:
-    """Compute quantiles of the beta law with shape parameters a and b on [lo, hi]."""
+    """Compute quantiles of the beta law with shape parameters a and b on [low, high]."""
     return low + (high - low) * scipy.special.betaincinv(a, b, probability)
 
 
@@ -100,7 +102,7 @@ def choice_quantile(probability: np.ndarray, *values: float) -> np.ndarray:
 
 
 def truncates_within_37_deviations(mean: float, std: float, low: float, high: float) -> bool:
-    """Whether std > 0, lo < hi, and [lo, hi] reaches within 37 std of the mean; a farther tail underflows (float64)."""
+    """Whether std > 0, low < high, and [low, high] comes within 37 std of the mean; beyond, probabilities underflow."""
     return std > 0.0 and low < high and low < mean + 37.0 * std and high > mean - 37.0 * std
 
 
@@ -195,4 +197,4 @@ LAWS: dict[str, LawKind] = {
         discrete=True,
     ),
 }
-"""The families by the name of the law in a study."""
+"""The families of laws, by the name of the law in a study."""

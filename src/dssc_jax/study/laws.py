@@ -18,7 +18,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.law_kinds import LAWS
 
 SPREAD = "spread"
-"""Stands for all laws together, in place of a number's dotted name, where a margin widens laws."""
+"""Stands for all laws together, in place of a number's dotted name, where a margin is the width of all laws."""
 
 
 class UncertainValue(ABC):
@@ -32,12 +32,12 @@ class UncertainValue(ABC):
     @property
     @abstractmethod
     def median(self) -> float:
-        """Value when every law is at its median."""
+        """Value if every law is at its median."""
 
     @property
     @abstractmethod
     def nominal(self) -> float:
-        """Value that an inner loop, or a controller which is fitted to the plant, assumes in every draw."""
+        """Nominal value, which an inner loop or a fitted controller assumes in every draw."""
 
 
 def nominal_params(params: Params) -> Params:
@@ -64,7 +64,7 @@ class Law(UncertainValue):
 
     @property
     def movable(self) -> bool:
-        """Whether the law can be moved and widened, which needs a role of each argument."""
+        """Whether the law can be moved and widened; its family must define the role of each argument."""
         return LAWS[self.kind].roles != ""
 
     @property
@@ -78,12 +78,12 @@ class Law(UncertainValue):
         return LAWS[self.kind].support(*self.arguments)
 
     def quantile(self, u: np.ndarray) -> np.ndarray:
-        """Values below which the law lies with probabilities ``u`` in (0, 1), in the shape of ``u``."""
+        """Quantiles of the law at the probabilities ``u`` in (0, 1), in the shape of ``u``."""
         return LAWS[self.kind].quantile(u, *self.arguments)
 
     @property
     def median(self) -> float:
-        """Value at the level 1/2."""
+        """Median, the quantile at the level 1/2."""
         return float(self.quantile(np.asarray(0.5)))
 
     @property
@@ -93,10 +93,10 @@ class Law(UncertainValue):
         return self.median if nominal is None else float(nominal(*self.arguments))
 
     def spread(self, values: np.ndarray, share: np.ndarray | float) -> np.ndarray:
-        """Values of the widened law: the distance of each value from the median is multiplied by ``share``.
+        """Map values of the law to values of the widened law: the distance from the median is multiplied by ``share``.
 
-        For logarithmic laws, logarithms take the place of values and median. A law that cannot be widened keeps its
-        values. The result has the shape of the values.
+        For a logarithmic law, the distance is that of the logarithms. The values of a law that cannot be widened stay.
+        The result has the shape of the values.
         """
         if not self.movable:
             return np.asarray(values)
@@ -107,7 +107,7 @@ class Law(UncertainValue):
     def moved(self, median: float, share: float) -> "Law":
         """The law of the same family with another median and a scaled width.
 
-        The width of a logarithmic law is the width of the law of the logarithm.
+        The width of a logarithmic law is the width of the logarithm's law.
 
         Args:
             median: New median; positive for a logarithmic law.
@@ -154,7 +154,7 @@ class Law(UncertainValue):
 class RangedLaw(Law):
     """A law whose arguments may lie anywhere within ranges (a probability box).
 
-    Its ``arguments`` are the middles of the ranges.
+    The ``arguments`` of the law are the middles of the ranges.
 
     Args:
         ranges: Lowest and highest value of each argument; equal for an argument that is a plain number.
@@ -169,7 +169,7 @@ class RangedLaw(Law):
 
     @property
     def support(self) -> tuple[float, float]:
-        """Lowest and highest value under any arguments within the ranges."""
+        """Lowest and highest value that the law can have with arguments within the ranges."""
         supports = [law.support for law in self.corners]
         return min(low for low, _ in supports), max(high for _, high in supports)
 
@@ -181,7 +181,7 @@ class RangedLaw(Law):
 
     @property
     def middle(self) -> Law:
-        """The law at the middles of the ranges."""
+        """The law whose arguments are the middles of the ranges."""
         return Law(self.kind, self.arguments)
 
     def __str__(self) -> str:

@@ -6,11 +6,11 @@ from pathlib import Path
 from dssc_jax.core.errors import ConfigError, nearest
 
 LONGEST_NAME = 255
-"""Most characters of a file's name, which common file systems admit."""
+"""Largest number of characters in a file's name that common file systems admit."""
 PACKAGED = Path(__file__).parents[1] / "_studies"
 """Folder with the studies of an installed package."""
 CHECKOUT = Path(__file__).parents[3] / "studies"
-"""Folder with the studies of a checkout of the repository, where the package is not installed."""
+"""Folder with the studies in a checkout of the repository, for a package that is not installed."""
 
 
 def study_folders() -> list[Path]:
@@ -24,7 +24,7 @@ def study_folders() -> list[Path]:
 
 
 def available_studies() -> dict[str, Path]:
-    """File of each study by name, from the first of :func:`study_folders` that has the name."""
+    """File of each study by name; if several of :func:`study_folders` have a name, the first one counts."""
     files: dict[str, Path] = {}
     for folder in study_folders():
         for path in sorted(folder.glob("*.toml")):
@@ -33,12 +33,12 @@ def available_studies() -> dict[str, Path]:
 
 
 def find_study(name: str) -> Path:
-    """The file of a study, from its path or its name.
+    """Find the file of a study, from its path or its name.
 
-    A path is returned as it is, even if there is no such file: the reader reports that.
+    A path is returned as it is, even if there is no such file; the function that reads the file reports that.
 
     Raises:
-        ConfigError: The name is neither a file's nor a study's.
+        ConfigError: The name belongs neither to a file nor to a study.
     """
     path = Path(name)
     if len(path.name) > LONGEST_NAME:

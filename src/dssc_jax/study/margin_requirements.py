@@ -1,4 +1,4 @@
-"""Requirements that a margin of the linearised loop is large enough, or a peak small enough."""
+"""Requirements that a margin of the linearised loop is large enough, or one of its peaks small enough."""
 
 import math
 import re
@@ -63,7 +63,7 @@ def bound_value(kind: MarginKind, bound: float | str, place: str) -> float:
         place: Place of the bound in the study, for messages.
 
     Raises:
-        ConfigError: The bound is a text, but no number with one of the margin's units.
+        ConfigError: The bound is a text other than a number with one of the margin's units.
     """
     if not isinstance(bound, str):
         return bound
@@ -79,13 +79,13 @@ def bound_value(kind: MarginKind, bound: float | str, place: str) -> float:
 
 
 def require_attainable(kind: MarginKind, value: float, bound: float | str, place: str) -> None:
-    """Require that a bound lies among the values that a margin of its kind can have.
+    """Require that a bound lies among the values that a margin of this kind can have.
 
     Args:
         kind: Kind of the margin.
         value: Bound in the unit of the margin.
-        bound: Bound in the study, a plain number or a text with a unit.
-        place: Place of the bound in the study.
+        bound: Bound as the study states it, a plain number or a text with a unit, for messages.
+        place: Place of the bound in the study, for messages.
 
     Raises:
         ConfigError: The bound is not finite, negative, or larger than the largest margin. If a plain number would be
@@ -107,7 +107,7 @@ def require_attainable(kind: MarginKind, value: float, bound: float | str, place
 
 
 def require_stable(kind: MarginKind, value: float, side: str, place: str) -> None:
-    """Require that a bound excludes loops at the limit of stability, so that it requires more than stability.
+    """Require that loops at the limit of stability do not meet a bound, so that it requires more than stability.
 
     Args:
         kind: Kind of the margin.

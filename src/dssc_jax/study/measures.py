@@ -1,4 +1,4 @@
-"""Parsing of ``[sensor] measures``: the signals that are measured besides y and y', and a sensor for each."""
+"""Parsing of ``[sensor] measures``: the signals that a study measures besides y and y', and the sensor of each."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ MEASURES = "measures"
 WHOLE_STATE = "state"
 """Value of ``measures`` that stands for all states of a linear plant."""
 USUAL_SENSOR = "ideal"
-"""Default kind of all sensors in a study that measures further signals."""
+"""Default kind of all sensors in a study that measures signals besides y and y'."""
 RATE_FIELDS = ("velocity", "jitter")
 """Prefixes of the sensor's fields that need the derivative of the measured signal."""
 
@@ -28,9 +28,9 @@ class SensorTables(NamedTuple):
     """The section ``[sensor]``, split into the sensors of y and y' and the sensors of other signals.
 
     Args:
-        channels: Table of the sensors of y and y', common and by channel.
+        channels: Table of the sensors of y and y', with common entries and tables of channels.
         measures: Names of the other measured signals.
-        signals: Table of the sensor of each measured signal that has one.
+        signals: Table of a sensor by the name of its signal, for each measured signal that has such a table.
     """
 
     channels: TomlTable
@@ -76,14 +76,14 @@ def measurable_signals(
 
 
 def state_signal(index: str) -> NamedSignal:
-    """Signal of one state of a linear plant, whose index counts from 1; its unit is unknown."""
+    """Signal of one state of a linear plant, by the index of the state from 1; the unit is unknown, and so empty."""
     return NamedSignal(name=f"{STATE}{index}", unit="", meaning=f"{WHOLE_STATE} {index} of the plant")
 
 
 def scalar_signals(plant: Plant, outputs: Sequence[NamedSignal]) -> list[NamedSignal]:
     """Outputs of a plant as scalar signals: the scalar outputs, and the components of vectors such as ``wind_x``.
 
-    Tuples, such as one value for each rotor, are left out, since their type does not tell their length.
+    Outputs that are tuples, such as one value for each rotor, are left out: their type does not tell their length.
     """
     types = get_type_hints(plant.info) if plant.info is not None else {}
     signals = []
@@ -107,8 +107,8 @@ def sensor_tables(table: TomlTable, measurable: Mapping[str, NamedSignal]) -> Se
         measurable: Signals that the study can measure, by name.
 
     Raises:
-        ConfigError: ``measures`` is neither a list of such signals nor the word ``state`` for all states, or a signal
-            has a sensor but is not listed.
+        ConfigError: ``measures`` is neither a list of measurable signals nor the word ``state`` for all states, or a
+            signal has a table of a sensor but is not among ``measures``.
     """
     measured_names = parse_measured_names(table.get(MEASURES, []), measurable)
     signals = {name: as_table(table[name], f"sensor.{name}") for name in measured_names if name in table}
@@ -130,7 +130,7 @@ def parse_measured_names(value: object, measurable: Mapping[str, NamedSignal]) -
         measurable: Signals that the study can measure, by name.
 
     Raises:
-        ConfigError: The entry is neither, or a signal cannot be measured.
+        ConfigError: The entry is neither, or a signal cannot be measured or occurs twice.
     """
     place = f"sensor.{MEASURES}"
     if value == WHOLE_STATE:
@@ -156,7 +156,7 @@ def parse_signal_sensors(tables: SensorTables, measurable: Mapping[str, NamedSig
         measurable: Signals that the study can measure, by name.
 
     Raises:
-        ConfigError: A table is not valid, or states a field that needs the derivative of the signal.
+        ConfigError: A table is not valid, or states a field that needs the signal's derivative, which is not measured.
     """
     sensors = []
     for index, name in enumerate(tables.measures):
@@ -181,11 +181,12 @@ def parse_signal_sensors(tables: SensorTables, measurable: Mapping[str, NamedSig
 def require_signals(controller: Controller, gains: Params, measures: Sequence[NamedSignal]) -> None:
     """Require that the study measures the signals that a controller takes.
 
-    A controller names its signals, or else its gains tell how many signals it takes.
+    A controller may name its signals. Otherwise its gains determine how many signals it takes; unless this number is 0,
+    the study must measure as many signals.
 
     Args:
         controller: Model of the controller.
-        gains: Its gains.
+        gains: Gains of the controller.
         measures: Signals that the study measures besides y and y'.
 
     Raises:
@@ -202,7 +203,11 @@ def require_signals(controller: Controller, gains: Params, measures: Sequence[Na
 
 
 def require_named_signals(required_signals: Sequence[NamedSignal], measures: Sequence[NamedSignal]) -> None:
-    """Require that the study measures each of a controller's named signals, in the unit in which it takes the signal.
+    """Require that the study measures each signal that a controller names, in the unit that the controller declares.
+
+    Args:
+        required_signals: Signals that the controller names.
+        measures: Signals that the study measures besides y and y'.
 
     Raises:
         ConfigError: A signal is not measured, or has another unit.

@@ -25,9 +25,9 @@ class EnvelopeSignal(NamedTuple):
     """A signal of a channel that an envelope can bound.
 
     Args:
-        unit: Unit, in which y and u stand for the units of the channel's output and command.
+        unit: Unit of the signal; y and u stand for the units of the channel's output and command.
         meaning: Meaning in words.
-        value: Reads its value from a sample of the channel.
+        value: (sample of the channel) -> value of the signal.
     """
 
     unit: str
@@ -56,14 +56,15 @@ def parse_measures(
         config: Tables of the study.
         loop_metrics: Metrics that the loop can have, without those of signals.
         signals: Signals of the loop by name.
-        parameters: (text of an expression, place that needs it) -> value, a plain number.
+        parameters: (text of an expression, place that needs the value) -> value, a plain number.
 
     Returns:
-        - The measures: the reported metrics over the window of ``[metrics]``, then further ones of requirements.
+        - The measures: the reported metrics over the window of ``[metrics]``, then those that only requirements need.
         - The requirements.
 
     Raises:
-        ConfigError: A metric is unknown or not available, there is none, or a window contains no sample.
+        ConfigError: A metric is unknown or not available, no metric is named, a requirement is not valid, or a window
+            contains no sample.
     """
     available = loop_metrics.with_signal_metrics(signal_metrics_of(config, signals))
     require_samples(config, available.default_window, "metrics.after")
@@ -98,7 +99,7 @@ def parse_measures(
 
 
 def reported_measures(config: StudyTable, available: AvailableMetrics) -> dict[str, Measure]:
-    """Measures that results report besides the required ones, by name: their kinds over the window of ``[metrics]``.
+    """Measures that results report besides the required ones, by name, over the window of ``[metrics]``.
 
     Raises:
         ConfigError: ``metrics.names`` has an unknown kind.
@@ -114,7 +115,8 @@ def reported_measures(config: StudyTable, available: AvailableMetrics) -> dict[s
 def kinds_to_report(config: StudyTable, available: AvailableMetrics) -> Sequence[str]:
     """Kinds of metric that results report besides the required ones.
 
-    Without ``metrics.names``, these are all common ones for one channel, and a few of them for several channels.
+    If the study does not state ``metrics.names``, a loop with one channel reports all common kinds. A loop with several
+    channels reports a few kinds of each channel, and all kinds of the vehicle.
 
     Args:
         config: Tables of the study.
@@ -163,7 +165,8 @@ def require_meaningful(requirement: Requirement, place: str) -> None:
     """Require that a bound is not below the least value that its metric can have, such as 0 for a magnitude.
 
     Raises:
-        ConfigError: It is below, so that every draw would violate an upper bound, and no draw a lower one.
+        ConfigError: The bound is below the least value: every draw would violate it as an upper bound, and no draw as a
+            lower bound.
     """
     measure = requirement.measure
     for bound_name, bound in (("max", requirement.maximum), ("min", requirement.minimum)):
@@ -175,8 +178,13 @@ def require_meaningful(requirement: Requirement, place: str) -> None:
 def require_new(requirement: Requirement, requirements: Sequence[Requirement], place: str) -> None:
     """Require that no earlier requirement bounds the same measure on the same side.
 
+    Args:
+        requirement: The new requirement.
+        requirements: The earlier requirements.
+        place: Dotted path of the new requirement's table, for messages.
+
     Raises:
-        ConfigError: An earlier requirement does.
+        ConfigError: An earlier requirement bounds it.
     """
     if any(requirement.name == earlier.name for earlier in requirements):
         rule = f"'{requirement.measure.label}' is bounded on this side already; keep the stricter one"
@@ -209,7 +217,7 @@ def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) 
 
 
 def envelope_requirements(config: StudyTable, available: AvailableMetrics) -> list[Requirement]:
-    """Parse each envelope as a requirement: the least distance of the signal from its bounds must not be negative.
+    """Parse each envelope as a requirement: the signal's least distance from its bounds must not be negative.
 
     Args:
         config: Tables of the study.
@@ -255,7 +263,7 @@ def require_envelope(table: EnvelopeTable, place: str, config: StudyTable, chann
         channels: Names of the channels; one empty name for a plant with one channel.
 
     Raises:
-        ConfigError: It does not.
+        ConfigError: The envelope names no channel of the loop, or begins after the last sample.
     """
     channel = table.channel or ""
     if channel not in channels:

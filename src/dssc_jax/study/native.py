@@ -20,7 +20,7 @@ class NativeFile(NamedTuple):
 
     Args:
         file: Name of the file in the study.
-        sha256: SHA-256 digest of its content; empty if the study states none.
+        sha256: SHA-256 digest of the file's content; empty if the study states no digest.
     """
 
     file: str
@@ -33,14 +33,14 @@ class NativeFile(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The file, the path from which it was loaded, and its digest, in words."""
+        """Name of the file, the path from which it was loaded, and its digest, in words."""
         origin = f" from {self.place}" if self.loaded else ""
         digest = self.sha256 or "unknown"
         return f"native code {self.file}{origin}, SHA-256 {digest}"
 
     @property
     def place(self) -> str | None:
-        """Path from which this process has loaded the native code; None if it has not loaded it."""
+        """Path from which this process has loaded the native code; None if the code is not loaded."""
         return LOADED[self.sha256].file if self.loaded else None
 
 
@@ -65,11 +65,11 @@ def native_tables(table: Mapping[str, object]) -> Iterator[Mapping[str, object]]
 
 
 def tables_within(node: object, inherited: object, registry: Registry) -> Iterator[Mapping[str, object]]:
-    """Yield each table that names native code among a table and the tables within it.
+    """Yield each table that names native code: the given table itself, and tables within it at any depth.
 
     Args:
         node: Part of a study's table; a part that is no table yields nothing.
-        inherited: Kind of the table around it, for a table without a kind.
+        inherited: Kind that a table without ``kind`` has, that of the table around it.
         registry: Kinds of the section.
     """
     if not isinstance(node, Mapping):
@@ -84,7 +84,7 @@ def tables_within(node: object, inherited: object, registry: Registry) -> Iterat
 
 
 def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
-    """A study's table in which all native code has its digest, computed from the file if the table states none.
+    """Copy a study's table, with a digest for all native code; a missing digest is computed from the file.
 
     So a stored study tells with which native code it was run.
 
@@ -105,11 +105,11 @@ def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
 
 
 def with_digest(node: object, native_parts: Sequence[Mapping[str, object]], folder: Path) -> object:
-    """A part of a study's table in which every table that names native code has its digest.
+    """Copy a part of a study's table, with a digest in every table that names native code.
 
     Args:
-        node: The part; anything but a table stays.
-        native_parts: The tables that name native code, recognised by identity, since two of them may be equal.
+        node: The part; anything other than a table is returned as it is.
+        native_parts: The tables that name native code. They are recognised by identity, since two of them may be equal.
         folder: Folder to which the names of files are relative.
     """
     if not isinstance(node, Mapping):
@@ -122,9 +122,12 @@ def with_digest(node: object, native_parts: Sequence[Mapping[str, object]], fold
 
 
 def without_old_digests(changes: Mapping[str, object]) -> dict[str, object]:
-    """Changes of a study by dotted name, to which an empty digest is added for each changed file of native code.
+    """Add an empty digest to changes of a study for each file of native code that they change.
 
-    The empty digest removes the digest of the former file, so that :func:`with_digests` computes the new one.
+    The empty digest takes the place of the former file's digest, so that :func:`with_digests` computes the new one.
+
+    Args:
+        changes: New values by dotted name.
     """
     empty_digests: dict[str, object] = {}
     for name in changes:
@@ -140,7 +143,8 @@ def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: 
     Args:
         table: Table of the study, with digests.
         folders: Folders in which to look for each file; the first file that exists must have the digest.
-        recorded: Code in the manifest of a stored result, with the files that the run used, as the last places.
+        recorded: Entry ``code`` in the manifest of a stored result; the files that the run used are the last places to
+            look for. None: there is no such result.
 
     Raises:
         ConfigError: A file is not found, has another digest, or cannot be loaded.

@@ -12,7 +12,7 @@ from dssc_jax.study.parameters import Expression, ParameterTable, require_plain
 from dssc_jax.study.tables import PARAMETERS
 
 MOST_COMBINATIONS = 10_000
-"""Most combinations of values of discrete laws at which an expression is checked to be whole."""
+"""Largest number of combinations of discrete laws' values at which an expression is checked to be whole."""
 
 
 @dataclass(frozen=True)
@@ -52,15 +52,17 @@ class Number:
 
     @property
     def follows(self) -> str:
-        """Rule of a message that refuses to change this number, because it follows from parameters."""
+        """Text of a message that refuses to change this number, because it follows from parameters."""
         assert self.expression is not None
         names = self.expression.names
         return f"follows from {', '.join(names)} by {self.expression!r}; take {names[0]} instead"
 
     def under(self, path: str, name: str) -> "Number":
-        """The number with ``path`` in front of its paths and ``name`` in front of its name.
+        """Make the number of a part a number of the whole that contains the part.
 
-        So a number of a part becomes a number of the whole that contains the part.
+        Args:
+            path: Path of the part in the whole, which precedes each of the number's paths.
+            name: Dotted name of the part in the study, which precedes the number's name.
         """
         paths = tuple(dotted_name(path, path_in_part) for path_in_part in self.paths)
         return replace(self, name=dotted_name(name, self.name), paths=paths)
@@ -81,7 +83,8 @@ def parse_number(value: object, quantity: Quantity) -> float | Law | Expression:
         quantity: Unit, meaning and admissible interval of the number.
 
     Raises:
-        ValueError: It is none of these, not within the interval of the quantity, or not whole where it must be.
+        ValueError: The value is none of these, may lie outside of the quantity's interval, or may not be whole although
+            it must be.
     """
     content = number_content(value, quantity)
     low, high = content.support if isinstance(content, UncertainValue) else (content, content)
@@ -124,8 +127,8 @@ def number_content(value: object, quantity: Quantity) -> float | Law | Expressio
 def is_whole(content: float | Law | Expression) -> bool:
     """Whether all values of a number, a law or an expression are whole numbers.
 
-    A continuous law has other values. An expression is checked at every combination of the values of its laws; if there
-    are more than :data:`MOST_COMBINATIONS`, it does not count as whole.
+    The result is False for a continuous law. An expression is evaluated at every combination of the values of its
+    discrete laws. With more than :data:`MOST_COMBINATIONS` combinations, it does not count as whole.
     """
     if isinstance(content, Law):
         return LAWS[content.kind].discrete and all(value.is_integer() for value in content.arguments)
@@ -153,10 +156,10 @@ def parse_numbers(value: object, quantity: Quantity, depth: int) -> Any:
         depth: Number of lists around a number: 0 for a number alone, 1 for a list of numbers, 2 for a list of rows.
 
     Returns:
-        A parsed number, or tuples of them.
+        A parsed number, or nested tuples of parsed numbers.
 
     Raises:
-        ValueError: The value is no such list, or as in :func:`parse_number`.
+        ValueError: The value is not a list of this depth, or as in :func:`parse_number`.
     """
     if depth == 0:
         return parse_number(value, quantity)
@@ -167,12 +170,12 @@ def parse_numbers(value: object, quantity: Quantity, depth: int) -> Any:
 
 
 def numbers_of_field(name: str, quantity: Quantity, value: Any) -> tuple[Number, ...]:
-    """Records of the numbers in nested tuples, with names such as ``a.1.0``; a single number has the name itself.
+    """Records of the numbers in a field, with names such as ``a.1.0``; a single number has the name of the field.
 
     Args:
         name: Name of the field.
         quantity: Unit, meaning and admissible interval of each number.
-        value: A parsed number, or tuples of them.
+        value: A parsed number, or nested tuples of parsed numbers.
     """
     if not isinstance(value, tuple):
         return (Number.of(name, quantity, value, name),)
@@ -183,9 +186,9 @@ def numbers_of_field(name: str, quantity: Quantity, value: Any) -> tuple[Number,
 
 
 def leaves_of(value: Any) -> Any:
-    """Leaves of the loop's template for a parsed field: a number, nested tuples of numbers, or any other value.
+    """Content of a parsed field as it stands in the loop's template.
 
-    An expression without laws becomes its value; all else stays.
+    An expression without laws becomes its value, also within nested tuples. Everything else stays.
     """
     if isinstance(value, tuple):
         return tuple(map(leaves_of, value))
@@ -193,9 +196,9 @@ def leaves_of(value: Any) -> Any:
 
 
 def merge_numbers(numbers: Iterable[Number]) -> dict[str, Number]:
-    """Record of each number by name; one record for a number that channels share.
+    """Collect the records of numbers by name, and merge the records of a number that channels share.
 
-    It has the paths of all these channels, and the unit of the first one.
+    The merged record has the paths in all these channels, and the unit in the first one.
     """
     merged_numbers: dict[str, Number] = {}
     for number in numbers:
@@ -208,7 +211,7 @@ def merge_numbers(numbers: Iterable[Number]) -> dict[str, Number]:
 
 
 def parameter_numbers(parameters: ParameterTable, parts: Iterable[Number]) -> list[Number]:
-    """Record of each parameter of the study, so that it can be drawn and swept as a number of the loop can.
+    """Make a record of each parameter, so that parameters can be drawn and swept as numbers of the loop can.
 
     A parameter whose value is needed before tracing can be neither drawn nor swept.
 

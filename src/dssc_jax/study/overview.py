@@ -19,7 +19,7 @@ ABSENT = ("none", "ideal")
 
 
 def overview(study: "Study") -> str:
-    """A study in about fifty lines: clock, parts, uncertain numbers, numbers that follow from them, axes, requirements.
+    """A study in about fifty lines: clock, parts, uncertain numbers, numbers by expressions, axes and requirements.
 
     Sections without rows are left out.
     """
@@ -59,7 +59,7 @@ def section_text(title: str, rows: Sequence[tuple[str, ...]]) -> str:
 
 
 def part_rows(study: "Study") -> list[tuple[str, ...]]:
-    """One row for each part that does something: section, kinds and first :data:`MOST_NUMBERS` numbers."""
+    """One row for each part that does something: section, kinds, and the first :data:`MOST_NUMBERS` numbers."""
     rows = []
     for slot in SLOTS:
         kinds = [str(part.get("kind", "by channel")) for part in tables_of(study.config, slot)]
@@ -89,7 +89,7 @@ def number_row(number: Number, text: object) -> tuple[str, ...]:
 
     Args:
         number: The number.
-        text: Its values, such as a law or the ends of an axis.
+        text: Values of the number, such as a law or the ends of an axis.
     """
     return number.name, str(text), visible_unit(number), number.quantity.meaning
 

@@ -1,7 +1,7 @@
 """``Expression``: an expression of parameters in place of a number, with all that is needed to evaluate it.
 
-If a parameter has a law, an expression of it stays in the template of the loop, as a law does, and
-:meth:`dssc_jax.study.Study.params` evaluates it from each draw's values.
+An expression that depends on a law stays in the template of the loop, as a law does. For each draw,
+:meth:`dssc_jax.study.Study.params` evaluates the expression from the draw's values.
 """
 
 import ast
@@ -22,7 +22,7 @@ Content: TypeAlias = float | Law | str
 
 T = TypeVar("T")
 Evaluation: TypeAlias = Callable[[ast.expr, Callable[[str], T]], T]
-"""(tree of an expression, (name of a parameter) -> its value) -> value of the expression."""
+"""(tree of an expression, (name of a parameter) -> value of the parameter) -> value of the expression."""
 
 
 class Parameter(NamedTuple):
@@ -72,21 +72,21 @@ class Expression(UncertainValue):
         """Value of the expression for values of its parameters.
 
         Args:
-            values: Numbers, arrays or traced values by dotted name. Every parameter with a law must be among them; one
-                without keeps the study's value if it is missing.
+            values: Numbers, arrays or traced values of parameters by dotted name. Every parameter with a law must be
+                among them. A missing parameter without a law has its value in the study.
         """
         return self._evaluated(values, evaluate_numbers, float)
 
     def between(self, ends: Mapping[str, Interval]) -> Interval:
-        """Interval that contains all values of the expression, for intervals of its parameters by dotted name."""
+        """Interval that contains all values of the expression; ``ends`` has intervals of parameters by dotted name."""
         return self._evaluated(ends, evaluate_intervals, lambda number: Interval.of(number, number))
 
     def _evaluated(self, values: Mapping[str, T], evaluate: Evaluation[T], exact: Callable[[float], T]) -> T:
-        """Value of the expression in numbers or in intervals.
+        """Evaluate the expression in one arithmetic, that of numbers or that of intervals.
 
         Args:
-            values: Values of parameters, by dotted name.
-            evaluate: Evaluation of a tree in this arithmetic.
+            values: Values of parameters in this arithmetic, by dotted name.
+            evaluate: Evaluates a tree in this arithmetic.
             exact: (plain number) -> the same number in this arithmetic.
         """
         operands: dict[str, T] = {}  # by the name in expressions
@@ -111,7 +111,7 @@ class Expression(UncertainValue):
 
     @property
     def support(self) -> tuple[float, float]:
-        """Bounds of all values of the expression, near its least and its greatest value.
+        """Lower and upper bound of all values of the expression, close to its least and its greatest value.
 
         Raises:
             ValueError: The expression may have no finite value.
@@ -119,7 +119,7 @@ class Expression(UncertainValue):
         return support_of(self)
 
     def undefined_at(self, point: tuple[float, ...]) -> str:
-        """End of a message: the values of the parameters at which the expression has no finite value.
+        """End of a message that names parameter values at which the expression has no finite value.
 
         Args:
             point: Value of each parameter with a law; empty for an expression without laws.
@@ -139,9 +139,9 @@ class Expression(UncertainValue):
 
 @lru_cache(maxsize=4096)
 def support_of(expression: Expression) -> tuple[float, float]:
-    """Bounds of all values of an expression, near its least and its greatest value.
+    """Lower and upper bound of all values of an expression, close to its least and its greatest value.
 
-    The cache serves all variants of a study.
+    The cache serves all variants of a study with the same expression.
 
     Raises:
         ValueError: The expression may have no finite value.

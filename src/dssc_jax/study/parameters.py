@@ -20,11 +20,11 @@ from dssc_jax.study.table_errors import value_errors_at
 from dssc_jax.study.tables import DESCRIPTION, PARAMETERS
 
 TEXTS = ("name", "description", "units")
-"""Entries of a study without numbers and expressions."""
+"""Entries of a study that contain only texts, and so neither numbers nor expressions."""
 MOST_PARAMETERS = 200
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 LARGEST_EXACT = 2.0**53
-"""Whole numbers below it are exact in float64."""
+"""Below this magnitude, float64 represents every whole number exactly."""
 FORMS = "a number, a law, an expression, or a table such as { value = 1e-5, unit = 'H', meaning = 'inductance' }"
 
 
@@ -35,7 +35,7 @@ class ParameterTable:
     Args:
         contents: Content of each parameter by name, in an order in which each depends on earlier ones only.
         quantities: Unit and meaning of each parameter by name.
-        plain: Parameters whose plain value some place of the study needs before tracing, and the first such place.
+        plain: Parameters whose plain value is needed before tracing, each with the first place that needs it.
     """
 
     contents: dict[str, Content]
@@ -44,7 +44,7 @@ class ParameterTable:
 
     @classmethod
     def from_toml(cls, table: TomlTable) -> "ParameterTable":
-        """Parse the table ``[parameters]`` in order of dependency, since an expression needs the parameters it names.
+        """Parse the table ``[parameters]``, each parameter after those on which its expression depends.
 
         Raises:
             ConfigError: A name, a number, a law or an expression is not valid, or parameters depend on one another.
@@ -63,11 +63,11 @@ class ParameterTable:
         return parameters
 
     def parsed_content(self, name: str, value: Any) -> Content:
-        """Parse the content of a parameter; the parameters on which it depends must have been parsed.
+        """Parse the content of a parameter; the parameters on which it depends must have been parsed before.
 
         Args:
             name: Name of the parameter.
-            value: Its value in the study's table.
+            value: Value of the parameter in the study's table.
 
         Returns:
             A number, a law, or the text of an expression.
@@ -86,7 +86,7 @@ class ParameterTable:
         return float(value)
 
     def expression(self, text: str) -> Expression:
-        """Parse an expression, which must have a finite value for all values of its parameters.
+        """Parse an expression, and require that it is finite for all values of its parameters.
 
         Raises:
             UnknownParameter: The text names something that is no parameter.
@@ -117,7 +117,7 @@ class ParameterTable:
         return needed
 
     def constant(self, text: str, place: str) -> float:
-        """Compute an expression that is needed before tracing; a whole number, such as a count, is an int.
+        """Compute an expression whose value is needed before tracing; a whole number, such as a count, becomes an int.
 
         Args:
             text: Text of the expression.
@@ -133,7 +133,10 @@ class ParameterTable:
         return int(value) if value.is_integer() and abs(value) < LARGEST_EXACT else value
 
     def note_plain(self, expression: Expression, place: str) -> None:
-        """Record in :attr:`plain` that a place needs the parameters of an expression before tracing."""
+        """Record in :attr:`plain` that a place needs the parameters of an expression before tracing.
+
+        The first place that needs a parameter stays recorded.
+        """
         for parameter in expression.parameters:
             self.plain.setdefault(parameter.name, place)
 
@@ -154,12 +157,12 @@ class ParameterTable:
         return self.substitute(value, place, lambda text: self.constant(text, place))
 
     def substitute(self, value: object, place: str, value_of: Callable[[str], object]) -> Any:
-        """Replace each expression in a part of a study's table; arguments of laws always become plain numbers.
+        """Replace each expression in a part of a study's table; in arguments of laws, always by plain numbers.
 
         Args:
             value: Part of the table.
             place: Dotted name of the part, for messages.
-            value_of: Replacement for the text of an expression.
+            value_of: (text of an expression) -> value that replaces it outside of laws.
 
         Raises:
             ConfigError: An expression is not valid.
@@ -179,7 +182,7 @@ class ParameterTable:
 
 
 def require_plain(expression: Expression) -> None:
-    """Require that no parameter of an expression has a law, so that its value is known before tracing.
+    """Require that no parameter of an expression has a law, so that the expression's value is known before tracing.
 
     Raises:
         ValueError: A parameter has a law.
@@ -193,7 +196,7 @@ def require_name(name: str) -> None:
     """Require that the name of a parameter can stand in an expression.
 
     Raises:
-        ConfigError: It cannot, because it is malformed, or a word of the language or of Python.
+        ConfigError: The name is malformed, or is a word of the expression language or of Python.
     """
     place = f"{PARAMETERS}.{name}"
     if not NAME.fullmatch(name):
@@ -211,7 +214,8 @@ def described_content(name: str, value: object) -> tuple[object, Quantity]:
 
     Args:
         name: Name of the parameter.
-        value: Its value: a content, a law with unit and meaning, or ``{ value = ..., unit = ..., meaning = ... }``.
+        value: Value of the parameter in the study's table: a content alone, a law with unit and meaning, or
+            ``{ value = ..., unit = ..., meaning = ... }``.
 
     Raises:
         ConfigError: The value is a table with invalid entries.
@@ -268,7 +272,7 @@ def dependency_order(unparsed_contents: Mapping[str, object]) -> list[str]:
 
 
 def names_within(value: object) -> Iterator[str]:
-    """Yield the names of parameters in all expressions of a part of a study's table, as often as they occur.
+    """Yield the name of a parameter for each occurrence in the expressions of a part of a study's table.
 
     Raises:
         ValueError: An expression is not valid.

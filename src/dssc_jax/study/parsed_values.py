@@ -24,7 +24,7 @@ def parse_finite(value: object) -> float:
     """Parse a finite number.
 
     Raises:
-        ValueError: The value is something else.
+        ValueError: The value is no finite number.
     """
     if not is_number(value):
         raise ValueError(f"must be a finite number, got {value!r}")
@@ -35,16 +35,16 @@ def parse_finite_or_text(value: object) -> float | str:
     """Parse a finite number, or leave a text, which may be a number with a unit, to a later check.
 
     Raises:
-        ValueError: The value is neither.
+        ValueError: The value is neither a finite number nor a text.
     """
     return value if isinstance(value, str) else parse_finite(value)
 
 
 def parse_unit_text(value: object) -> str:
-    """Check that the text of a unit is a product of powers such as ``kg m^2/s``.
+    """Return the text of a unit, after a check that it is a product of powers such as ``kg m^2/s``.
 
     Raises:
-        ValueError: The value is something else.
+        ValueError: The value is no such text, or is too long.
     """
     if not isinstance(value, str) or len(value) > LONGEST_UNIT:
         raise ValueError(f"must be a unit of at most {LONGEST_UNIT} characters, such as 'rad/s', got {value!r}")
@@ -56,7 +56,7 @@ def parse_points(value: Any) -> tuple[tuple[float, float], ...]:
     """Parse the points ``[[time, value], ...]`` of a bound over time, times in seconds.
 
     Raises:
-        ValueError: They are not two or more pairs of numbers, too many, or not in the order of their times.
+        ValueError: The value is no list of at least two pairs of numbers, has too many of them, or its times fall.
     """
     if not isinstance(value, list | tuple) or len(value) < 2 or not all(map(is_pair, value)):
         raise ValueError(f"must be two or more points [time, value], got {value!r}")
@@ -102,7 +102,7 @@ def spaced_values(spacing: str, arguments: list[Any]) -> tuple[float, ...]:
         arguments: Finite numbers, ``[lo, hi, count]``.
 
     Raises:
-        ValueError: There are no such values.
+        ValueError: The arguments are not valid.
     """
     if len(arguments) != 3 or not isinstance(arguments[2], int) or arguments[2] < 1:
         raise ValueError(f"{spacing} takes [lo, hi, count] with a whole count >= 1, got {arguments}")
@@ -122,7 +122,7 @@ def spaced_values(spacing: str, arguments: list[Any]) -> tuple[float, ...]:
 
 
 def parse_range(value: object) -> tuple[float, float]:
-    """Parse the interval ``[low, high]`` of a positive number.
+    """Parse the interval ``[low, high]`` of a positive number, with 0 < low < high.
 
     Raises:
         ValueError: The value is no such interval.

@@ -62,7 +62,7 @@ class LoopParts(NamedTuple):
         outputs: Named outputs of the plant.
         measurable: Signals that sensors can measure, by name.
         measures: Signals that the study measures besides y and y'.
-        events: Events of the study, which are parts of the vehicle, of sensors or of commands, too.
+        events: Events of the study; they are also among the parts of the vehicle, of sensors or of commands.
     """
 
     shared_parts: dict[str, Component]
@@ -76,7 +76,7 @@ class LoopParts(NamedTuple):
     events: list[StudyEvent]
 
     def loop(self, config: StudyTable) -> Loop:
-        """Make the loop before tracing: the models of all parts in their slots, and the clock of the study."""
+        """Make the loop: the models of all parts in their slots, and the clock of the study."""
         has_events = bool(self.repeated_parts["events"])
         rotors = self.shared_parts["plant"].params.vehicle.rotors if has_events else 0  # 0: not needed
         return Loop(
@@ -92,7 +92,7 @@ class LoopParts(NamedTuple):
 
     @property
     def template(self) -> LoopParams:
-        """Parameters of all parts in their slots before sampling: the leaves are numbers, laws and expressions."""
+        """Parameters of all parts in their slots; the leaves are numbers, laws and expressions."""
         return LoopParams(
             **{slot: part.params for slot, part in self.shared_parts.items()},
             **{slot: tuple(part.params for part in parts) for slot, parts in self.repeated_parts.items()},
@@ -100,7 +100,7 @@ class LoopParts(NamedTuple):
 
     @property
     def numbers(self) -> list[Number]:
-        """Records of the numbers of all parts; a number that channels share occurs once for each of them."""
+        """Records of the numbers of all parts; a number that channels share has a record for each channel."""
         parts = list(self.shared_parts.values())
         for parts_of_slot in self.repeated_parts.values():
             parts += parts_of_slot
@@ -113,12 +113,12 @@ class LoopParts(NamedTuple):
 def parse_parts(config: StudyTable, parameters: ParameterTable) -> LoopParts:
     """Parse all parts of a loop, and check that they fit together.
 
-    A slot is a place for parts, such as ``plant`` or ``controller``. A shared part serves the whole loop. A slot of
-    repeated parts has several, mostly one for each channel.
+    A slot is a place for parts, such as ``plant`` or ``controller``. Some slots have one part that serves the whole
+    loop. The other slots have several parts, mostly one for each channel.
 
     Args:
-        config: The study's tables; each slot has one.
-        parameters: Parameters of the study, which expressions in the tables name.
+        config: Tables of the study, one for each slot.
+        parameters: Parameters of the study, which expressions in the tables may name.
 
     Returns:
         The parts, with the loop's channels, signals and units.
@@ -168,7 +168,11 @@ def parse_parts(config: StudyTable, parameters: ParameterTable) -> LoopParts:
 
 
 def parse_plant(table: TomlTable, clock: LoopTable) -> Component:
-    """Parse the plant, and check that its software on board can run at the study's clock.
+    """Parse the plant, and check that the software on board, if there is any, can run at the study's clock.
+
+    Args:
+        table: Table of the plant.
+        clock: Duration and sampling of the study.
 
     Raises:
         ConfigError: The table is not valid, or the software cannot run at this clock.
@@ -195,7 +199,7 @@ def parse_shared_parts(
         Plant, reference and wind by slot.
 
     Raises:
-        ConfigError: A table is not valid, or a plant that does not fly has a wind or a vehicle's reference.
+        ConfigError: A table is not valid, or a plant that does not fly has a wind or the trajectory of a vehicle.
     """
     parts = {
         "plant": plant,
@@ -251,7 +255,9 @@ def parse_repeated_parts(
 def require_controllers(
     controllers: Sequence[Component], channels: Sequence[str], measures: tuple[NamedSignal, ...]
 ) -> None:
-    """Require that each controller gets the measured signals that it takes, and that its gains define sigma.
+    """Require that each controller gets the measured signals that it takes, and that its gains have the error pole l0.
+
+    The error pole defines sigma = e' + l0 e.
 
     Args:
         controllers: Controller of each channel, parsed.
@@ -270,7 +276,7 @@ def require_controllers(
 
 
 def with_bounded_jitter(sensors: Sequence[Component], channels: Sequence[str], sample_time: float) -> list[Component]:
-    """Bound the jitter of the sensors by the sample time, also in sweeps and margins.
+    """Bound the jitter of each sensor by the sample time; the bound also holds in sweeps and margins.
 
     Args:
         sensors: Sensor of each channel, parsed.
@@ -325,7 +331,7 @@ def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tu
 
 
 def time_fields(config: StudyTable) -> TomlTable:
-    """Fields of ``Loop`` about time: sampling, integration, and the rule that ends a settled draw early."""
+    """Fields of ``Loop`` that concern time: sampling, integration, and the rule that ends a settled draw early."""
     loop = config.loop
     return {
         "sample_time": loop.sample_time,

@@ -48,7 +48,7 @@ def record_content(path: Path) -> bytes:
 
 
 def parquet_column_count(content: bytes) -> int:
-    """Number of columns of a Parquet file, without reading them."""
+    """Number of columns of a Parquet file, from its metadata alone."""
     from pyarrow import parquet
 
     return parquet.ParquetFile(io.BytesIO(content)).metadata.num_columns
@@ -58,21 +58,21 @@ def require_few_columns(path: Path, count: int) -> None:
     """Require that a file has at most :data:`MOST_COLUMNS` columns.
 
     Raises:
-        ConfigError: It has more.
+        ConfigError: The file has more columns.
     """
     if count > MOST_COLUMNS:
         raise ConfigError("file", f"'{path}' has {count} columns, more than a record can have ({MOST_COLUMNS})")
 
 
 def require_header(path: Path, names: list[str]) -> None:
-    """Require that the first line of a CSV file names its columns, and no two of them alike.
+    """Require that the first line of a CSV file names the columns, each with a name of its own.
 
     Args:
         path: The file, for messages.
         names: Cells of the first line.
 
     Raises:
-        ConfigError: The line has numbers alone, or a name twice.
+        ConfigError: The line consists of numbers, or contains a name twice.
     """
     if all(is_numeric(name) for name in names):
         raise ConfigError(
@@ -108,10 +108,10 @@ def recorded_frame(path: Path) -> Any:
 
 
 def require_table(path: Path, content: bytes) -> None:
-    """Require that a file is neither empty nor of a form that is often taken for a table.
+    """Require that a file is not empty, and is neither text in UTF-16 nor a ULog, which users often take for a table.
 
     Raises:
-        ConfigError: It is; the message has a remedy.
+        ConfigError: The file is one of these; the message has a remedy.
     """
     if not content.strip():
         raise ConfigError("file", f"'{path}' is empty")
@@ -150,9 +150,9 @@ def csv_frame(path: Path, content: bytes) -> Any:
 
 
 def with_seconds(frame: Any) -> Any:
-    """The data frame with dates and time spans as numbers [s], NaN where they are missing.
+    """Replace dates and time spans in a data frame by numbers of seconds; missing ones become NaN.
 
-    A date becomes the time since the beginning of 1970; a date without a time zone is taken as UTC.
+    A date becomes the time since the beginning of 1970 UTC. A date without a time zone counts as UTC.
     """
     spans = frame.select_dtypes("timedelta")
     dates = frame.select_dtypes(["datetime", "datetimetz"])

@@ -1,6 +1,6 @@
 """Recorded signals: columns of CSV and Parquet files become part of a study's table when the study is read.
 
-So a results folder contains the data with which it was computed, and reading the folder opens no other file.
+So a results folder contains the data of its run, and reading the folder opens no other file.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ COLUMN_FIELDS = {"wind": ("x", "y", "z"), "sensor": ("position", "velocity")}
 SINGLE_FIELD = ("value",)
 """Field with the values of a record in all other slots."""
 RATE_SLOT = "reference"
-"""Slot whose record may also have the rate of its values."""
+"""Slot whose record may also contain the derivatives of its values."""
 TIME = "t"
 """Default name of the column of times."""
 TIME_FIELDS = ("time", "time_column")
@@ -31,7 +31,7 @@ TIME_FIELDS = ("time", "time_column")
 
 
 def with_records(table: Mapping[str, object], folder: Path) -> TomlTable:
-    """A study's table with the times and values of each record in place of its file.
+    """Copy a study's table, with the times and values of each record in place of the name of its file.
 
     Args:
         table: Table of the study.
@@ -48,12 +48,12 @@ def with_records(table: Mapping[str, object], folder: Path) -> TomlTable:
 
 
 def slot_with_records(value: object, folder: Path, slot: str) -> Any:
-    """Content of a slot with records in place of files.
+    """Copy the content of a slot, with records in place of the names of files.
 
     Args:
-        value: Table of the slot, which may contain tables of channels, or a list of tables.
+        value: Table of the slot, which may contain tables of channels; or a list of tables.
         folder: Folder to which the names of files are relative.
-        slot: The slot, and the index of the table in a list, such as ``wind.1``.
+        slot: Name of the slot; for a table in a list, with the index of the table, such as ``wind.1``.
 
     Raises:
         ConfigError: As in :func:`with_records`.
@@ -73,10 +73,10 @@ def slot_with_records(value: object, folder: Path, slot: str) -> Any:
 
 
 def table_with_record(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
-    """A part's table with the times and values of its record in place of the names in :data:`FIELDS`.
+    """Copy a part's table, with times and values of its record in place of the fields :data:`FIELDS`.
 
     Args:
-        part: Table with a file.
+        part: Table of the part, which names a file.
         folder: Folder to which the names of files are relative.
         slot: Slot of the part, and its index in a list, such as ``wind.1``.
 
@@ -102,11 +102,11 @@ def value_columns(part: Mapping[str, Any], fields: tuple[str, ...]) -> list[str]
     """Names of the columns with the values of a record, one for each field.
 
     Args:
-        part: Table with a file.
-        fields: Fields with the values, one or several.
+        part: Table of the part, which names a file.
+        fields: Fields that take the values, one or several.
 
     Raises:
-        ConfigError: The table does not name that many columns.
+        ConfigError: The table does not name one column for each field.
     """
     if len(fields) == 1:
         if "column" not in part:
@@ -119,10 +119,12 @@ def value_columns(part: Mapping[str, Any], fields: tuple[str, ...]) -> list[str]
 
 
 def rate_fields(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
-    """The fields ``rate_time`` and ``rate`` of a record; empty if its table names no column of rates.
+    """The fields ``rate_time`` and ``rate`` with the derivative of a recorded reference.
+
+    The result is empty if the table names no column of derivatives.
 
     Args:
-        part: Table with a file.
+        part: Table of the part, which names a file.
         folder: Folder to which the names of files are relative.
         slot: Slot of the part, and its index in a list, such as ``wind.1``.
 
@@ -192,7 +194,7 @@ def require_rising_times(path: Path, times: np.ndarray, rows: np.ndarray) -> Non
         rows: Row of the data frame with each time, shape (n,).
 
     Raises:
-        ConfigError: A time is not later.
+        ConfigError: A time is equal to or earlier than the time before it.
     """
     not_rising = np.flatnonzero(np.diff(times) <= 0.0)
     if not not_rising.size:
@@ -221,7 +223,7 @@ def numbers_of(column: Any, path: Path, field: str) -> list[float]:
 
 
 def first_text(column: Any, path: Path) -> str:
-    """Place and content of the first cell of a column that is no number, in words; empty if there is none."""
+    """Place and content, in words, of the first cell of a column that is no number; empty if all cells are numbers."""
     for row, cell in enumerate(column):
         try:
             float(cell)
@@ -249,12 +251,12 @@ def require_empty(path: Path, places: list[int], rows: np.ndarray, count: int) -
 
     Args:
         path: The file; nothing is required of a Parquet file, which marks its missing cells.
-        places: Indices of the columns.
+        places: Indices of the columns to check.
         rows: Indices of the rows with a missing cell.
-        count: Number of all rows.
+        count: Number of all rows in the data frame.
 
     Raises:
-        ConfigError: A missing cell has a text.
+        ConfigError: A missing cell contains a text.
     """
     if is_parquet(path) or not rows.size:
         return

@@ -24,9 +24,9 @@ STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
 LONGEST_PHRASE = 60
-"""Most characters of a meaning."""
+"""Largest number of characters in a meaning."""
 MOST_LANES = 10**9
-"""Most draws of all points of a sweep together."""
+"""Largest number of draws at all points of a sweep together."""
 Phrase = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f]+$", max_length=LONGEST_PHRASE)]
 Finite = Annotated[float, BeforeValidator(parse_finite)]
 OptionalFinite: Any = Optional[Finite]  # noqa: UP045  (a type at run time)
@@ -78,10 +78,10 @@ class LoopTable(BaseModel):
 
 
 def window_fields(inherited: bool) -> dict[str, Any]:
-    """Type and field of pydantic for each entry of a window, by the entry's key in a table.
+    """Pydantic's type and field for each entry of a window, by the entry's key in a table.
 
     Args:
-        inherited: Whether an absent entry has the value of ``[metrics]``, rather than its own default.
+        inherited: Whether an absent entry has the value in ``[metrics]``, rather than a default of its own.
     """
     defaults = window_defaults()
     fields = {}
@@ -139,11 +139,11 @@ class MetricsTable(UsualWindow):
 
 
 class SubjectRule(NamedTuple):
-    """The entries of a requirement that belong to its subject, and why others do not; empty: another subject has them.
+    """The entries of a requirement that belong to one subject: a metric, a margin or a formula.
 
     Args:
         entries: Names of the entries.
-        reason: Why there are no others, in words.
+        reason: Why other entries do not belong to the subject, in words; empty: they belong to another subject.
     """
 
     entries: set[str]
@@ -155,7 +155,7 @@ SUBJECTS = {
     "formula": SubjectRule({"formula", "name", "smoothing"}, "a formula holds its own times and bounds"),
     "margin": SubjectRule({"margin", "at", "max", "min"}, "a margin is that of the linearised loop, before the flight"),
 }
-"""Possible subjects of a requirement."""
+"""Possible subjects of a requirement by name, with their entries."""
 
 
 class RequirementTable(RequiredWindow):
@@ -166,7 +166,7 @@ class RequirementTable(RequiredWindow):
 
     @model_validator(mode="after")
     def _check_subject(self) -> "RequirementTable":
-        """Require one subject, no entries of other subjects, and the bound that the subject needs."""
+        """Require exactly one subject, no entries of other subjects, and the bound that the subject needs."""
         subjects = [name for name in SUBJECTS if getattr(self, name) is not None]
         if len(subjects) != 1:
             raise ValueError("needs a metric, a margin or a formula, and only one of them")
@@ -345,12 +345,12 @@ class StudyTable(BaseModel):
 
     @property
     def independent(self) -> bool:
-        """Whether draws are independent; draws with ``auto`` are independent unless a run chooses another design."""
+        """Whether the draws are independent; those of ``auto`` are, unless a run chooses another design."""
         return self.sampling in ("random", "auto")
 
     @model_validator(mode="after")
     def _check_design(self) -> "StudyTable":
-        """Require that the number of draws fits the design: replicates of equal size, powers of two for Sobol."""
+        """Require that the draws divide into replicates of equal size, a power of two for Sobol points."""
         if self.independent:
             if "replicates" in self.model_fields_set:
                 remedy = "random draws have none" if self.sampling == "random" else "'auto' chooses their number"

@@ -35,22 +35,22 @@ FIXED_TABLES: dict[str, type[BaseModel]] = {
     "plot": PlotTable,
     "tune": TuneTable,
 }
-"""Tables whose fields do not depend on a kind, by their section."""
+"""Tables whose fields do not depend on a kind, by the dotted name of the section."""
 
 TOP = "at the top of the file, above the first [section]"
 MOST_SECTIONS = 3
-"""Most sections that a message names."""
+"""Largest number of sections that a message names."""
 
 
 def with_section(error: ConfigError, table: Mapping[str, object]) -> ConfigError:
-    """The error of an unknown name, with the right section if the name is valid in another section.
+    """Add the right section to the error of an unknown name, if the name is valid in another section.
 
     Args:
         error: Any error of a study's table.
         table: Table of the study.
 
     Returns:
-        The new error; the same error if it is of another kind, or if no section may have the name.
+        The new error; the same error if it does not concern an unknown name, or if no section may have the name.
     """
     section, _, name = error.where.rpartition(".")
     if not error.rule.startswith(UNKNOWN_NAME):
@@ -62,9 +62,9 @@ def with_section(error: ConfigError, table: Mapping[str, object]) -> ConfigError
 
 
 def sections_of(name: str, table: Mapping[str, object]) -> list[str]:
-    """Sections in which a study may have a name, in words, each once.
+    """Sections in which a study may state a name, in words, each once.
 
-    Sections of the study's own kinds come first; if there is none, the sections of all other kinds are listed.
+    The result has the sections of the study's present kinds; if none of these has the name, those of all other kinds.
 
     Args:
         name: The name.
@@ -84,7 +84,7 @@ def sections_of(name: str, table: Mapping[str, object]) -> list[str]:
 
 
 def sections_of_other_kinds(name: str) -> list[str]:
-    """Sections and kinds of the package that have a name, in words."""
+    """All sections and kinds of the package in which a study may state a name, in words."""
     places = []
     for slot, registry in REGISTRIES.items():
         for kind, entry in registry.items():
@@ -96,7 +96,7 @@ def sections_of_other_kinds(name: str) -> list[str]:
 def has_field(params: type, name: str) -> bool:
     """Whether a parameter type has a field of this name that a study may state.
 
-    The values of a record come from its file.
+    Fields with the values of a record do not count, since these come from a file.
     """
     spec = field_specs(params).get(name)
     if spec is None:
@@ -106,18 +106,18 @@ def has_field(params: type, name: str) -> bool:
 
 
 def params_of(entry: Entry) -> Any:
-    """Parameter type of a registry row, which is the same for all values of its option."""
+    """Parameter type of a registry row; all models of the row have the same one."""
     member = next(iter(entry.members.values()))
     return getattr(member, "params", member)
 
 
 def places_in(entry: Entry, section: str, table: Mapping[str, object]) -> Iterator[tuple[str, str]]:
-    """Yield each pair of a section and a name that a study may state in it, for a part and all parts within it.
+    """Yield pairs (section, name) for all names that a study may state, in a part and in the parts within it.
 
     Args:
         entry: Registry row of the part's kind.
         section: Dotted name of the part's section, such as ``controller``.
-        table: Table of the part, which may tell the kinds of the parts within it.
+        table: Table of the part, which may state the kinds of the parts within it.
     """
     yield from fields_in(params_of(entry), section, table)
     if entry.option:
@@ -125,12 +125,12 @@ def places_in(entry: Entry, section: str, table: Mapping[str, object]) -> Iterat
 
 
 def fields_in(params: type, section: str, table: Mapping[str, object]) -> Iterator[tuple[str, str]]:
-    """Yield each pair of a section and a field that a study may state in it, for a parameter type and its parts.
+    """Yield pairs (section, field) for all fields that a study may state, of a parameter type and of its parts.
 
     Args:
         params: Parameter type.
-        section: Dotted name of the section with its fields.
-        table: Table of the section, which may tell the kinds of the parts within it.
+        section: Dotted name of the section with the fields of the type.
+        table: Table of the section, which may state the kinds of the parts within it.
     """
     for name, spec in field_specs(params).items():
         inner_section = f"{section}.{name}"
@@ -149,7 +149,7 @@ def fields_in(params: type, section: str, table: Mapping[str, object]) -> Iterat
 
 
 def table_of_part(value: object) -> Mapping[str, object]:
-    """Table of a part that a study states as a table or as a kind alone; empty for anything else."""
+    """Table of a part that a study states as a table, or by its kind alone; empty for any other value."""
     if isinstance(value, str):
         return {"kind": value}
     return value if isinstance(value, Mapping) else {}

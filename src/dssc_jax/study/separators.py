@@ -3,26 +3,26 @@
 import re
 
 OPTION = re.compile(r"\s*(?P<name>[^\s=:]+)\s*[=:\s]\s*(?P<values>.+?)\s*")
-"""An option ``NAME=A:B:...``, in which a colon or a blank may stand in place of ``=``."""
+"""An option ``NAME=A:B:...``; a colon or a blank may stand in place of ``=``."""
 SEPARATORS = re.compile(r"\s*(?::|,|;|\.\.+|\bto\b|\s)\s*")
-"""Separators that people write between the numbers of an option, of which ``:`` is the right one."""
+"""Separators that users write between the numbers of an option; only ``:`` is right."""
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 NAME_WITH_COLON = re.compile(r"[\w.\"-]+\s*:")
 QUOTED_OR_COMMENT = re.compile(r"\"[^\"]*\"|'[^']*'|#.*")
 DECIMAL_COMMA = re.compile(r"\d,\d")
 LONGEST_LINE = 60
-"""Most characters of a line in a message."""
+"""Largest number of characters of a line that a message quotes."""
 
 
 def separator_hint(text: str, parts: int) -> str:
-    """Hint for a wrong option ``NAME=A:B:...``: the text with the right separators, if only these are wrong.
+    """Hint for a wrong option ``NAME=A:B:...``: the text with the right separators, if only its separators are wrong.
 
     Args:
         text: Text of the option, as typed.
         parts: Number of numbers that must follow the name.
 
     Returns:
-        End of a message; empty without a hint.
+        End of a message; empty if there is no hint.
     """
     match = OPTION.fullmatch(text)
     if match is None:
@@ -41,7 +41,7 @@ def separator_hint(text: str, parts: int) -> str:
 
 
 def toml_hint(text: str, complaint: str) -> str:
-    """Hint for a TOML file that does not parse: the line, and the character that is wrong in it.
+    """Hint for a TOML file that does not parse: the wrong line, and the right separator if the mistake is known.
 
     Args:
         text: Content of the file.

@@ -1,4 +1,4 @@
-"""Checks of a study whose draws end early once they have settled, by ``[loop.settled]``."""
+"""Checks of a study whose draws end early once they have settled, by the rule ``[loop.settled]``."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,7 +20,7 @@ from dssc_jax.study.numbers import Number
 from dssc_jax.study.schema import EnvelopeTable, StudyTable
 
 ChangingPart: TypeAlias = Reference | Wind | Disturbance | AnyEvent
-"""A part that does something over time, and declares when it last does something new."""
+"""A part that changes over time, and declares the time of its last change."""
 
 
 def require_whole_windows(loop: Loop, measures: tuple[Measure, ...], envelopes: Sequence[EnvelopeTable]) -> None:
@@ -32,8 +32,8 @@ def require_whole_windows(loop: Loop, measures: tuple[Measure, ...], envelopes: 
         envelopes: Tables of the envelopes.
 
     Raises:
-        ConfigError: A window begins, or an envelope ends, after a draw may have ended; or a draw may end outside of the
-            band in which a metric counts it as settled.
+        ConfigError: A draw may end before a window begins or an envelope ends, or it may end outside of the band in
+            which a metric counts the draw as settled.
     """
     settled = loop.settled
     if settled is None:
@@ -57,12 +57,12 @@ def require_whole_windows(loop: Loop, measures: tuple[Measure, ...], envelopes: 
 
 
 def require_within_band(settled: Settled, metric: str, band: float) -> None:
-    """Require that a draw which ends as settled is within the band in which a metric counts it as settled.
+    """Require that a draw which ends as settled lies in the band in which a metric counts the draw as settled.
 
     Args:
         settled: The rule that ends a draw.
         metric: Name of the metric.
-        band: Largest |e| in the band [unit of y]; NaN: it depends on the draw.
+        band: Largest |e| in the band [unit of y]; NaN: the band depends on the draw.
 
     Raises:
         ConfigError: A draw may end outside of the band.
@@ -79,17 +79,17 @@ def require_within_band(settled: Settled, metric: str, band: float) -> None:
 def require_seen_signals(
     config: StudyTable, loop: Loop, template: LoopParams, numbers: Mapping[str, Number], events: Sequence[StudyEvent]
 ) -> None:
-    """Require that no reference, wind, disturbance or event does anything new after a draw may have ended as settled.
+    """Require that no reference, wind, disturbance or event changes after a draw may have ended as settled.
 
     Args:
         config: Fixed tables of the study.
         loop: The loop.
-        template: Parameters of its parts, with laws.
+        template: Parameters of the loop, with laws.
         numbers: Numbers of the loop by name.
         events: Events of the study.
 
     Raises:
-        ConfigError: One may, or does not declare when it last changes.
+        ConfigError: A part may change after that time, or does not declare the time of its last change.
     """
     if config.loop.settled is None:
         return
@@ -108,7 +108,7 @@ def require_seen_signals(
 
 
 def with_largest_values(config: StudyTable, template: Params, numbers: Iterable[Number]) -> Params:
-    """Replace each number in the parameters of parts by its largest value, over its law and over the sweep."""
+    """Replace each number in parameters by the largest value that its law or its axis admits."""
     largest_values = {}
     for number in numbers:
         _, largest = extent(number.value)
@@ -120,16 +120,16 @@ def with_largest_values(config: StudyTable, template: Params, numbers: Iterable[
 
 
 def require_seen(table: str, model: ChangingPart, params: Params, config: StudyTable) -> None:
-    """Require that a signal does nothing new after a draw may have ended as settled.
+    """Require that a part does not change after a draw may have ended as settled.
 
     Args:
-        table: Name of its table in the study.
-        model: The signal.
-        params: Its parameters, each with its largest value.
+        table: Name of the part's table in the study, for messages.
+        model: The part.
+        params: Parameters of the part, each at its largest value, which gives the latest change.
         config: Fixed tables of the study, with the rule that ends a draw.
 
     Raises:
-        ConfigError: It may, or does not declare when it last changes.
+        ConfigError: The part may change after that time, or does not declare the time of its last change.
     """
     settled = config.loop.settled
     assert settled is not None
@@ -145,14 +145,14 @@ def require_seen(table: str, model: ChangingPart, params: Params, config: StudyT
 
 
 def require_changes_before_settling(config: StudyTable, numbers: Mapping[str, Number]) -> None:
-    """Require that nothing in the study begins or ends after a draw may have ended as settled.
+    """Require that no time at which something begins or ends lies after a draw may have ended as settled.
 
     Args:
         config: Fixed tables of the study.
         numbers: Numbers of the loop by name, with the times of steps, winds and events.
 
     Raises:
-        ConfigError: A step, a wind or an event may come later.
+        ConfigError: A step, a wind or an event may begin or end later.
     """
     settled = config.loop.settled
     if settled is None:

@@ -1,4 +1,4 @@
-"""Parsing of the loop's slots: a single part, a sum of winds, a reference, or one part for each channel."""
+"""Parsing of the loop's slots: a single part, a sum of winds, a reference, or a part for each channel."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -43,7 +43,7 @@ REGISTRIES = {
     "wind": WINDS,
     "event": EVENTS,
 }
-"""The kinds of each slot."""
+"""The kinds of parts by slot; ``trajectory`` has the references of all channels together."""
 PER_CHANNEL = ("controller", "sensor", "differentiator", "unmodelled", "disturbance")
 """Slots that have a part for each channel."""
 SLOTS = ("plant", "reference", "wind", *PER_CHANNEL)
@@ -53,7 +53,7 @@ TABLES = (*SLOTS, ACTUATOR, EVENT)
 
 
 def with_units(component: Component, units: ChannelUnits) -> Component:
-    """The component whose numbers have the units of a channel in place of the symbols y and u."""
+    """Copy a component, with the units of a channel in place of the symbols y and u in its numbers."""
     numbers = []
     for number in component.numbers:
         quantity = replace(number.quantity, unit=units.of(number.quantity.unit))
@@ -91,7 +91,7 @@ def parse_winds(table: TomlTable | list[TomlTable]) -> Component:
 
 
 def reference_kinds(is_angle: bool) -> Registry:
-    """Kinds of references for one channel; for an angle, each kind in its form for angles if it has one."""
+    """Kinds of references for one channel; for an angle, the form for angles of each kind that has one."""
     if not is_angle:
         return REFERENCES
     entries = {}
@@ -102,7 +102,7 @@ def reference_kinds(is_angle: bool) -> Registry:
 
 
 def is_flight(table: TomlTable, channels: Collection[str]) -> bool:
-    """Whether the common part of a reference's table is a vehicle's trajectory, other than rest at zero."""
+    """Whether the entries common to all channels state a vehicle's trajectory, other than rest at zero."""
     common = common_table(table, channels)
     rests_at_zero = common in ({}, {"kind": "zero"})
     is_trajectory = common.get("kind", "zero") in REGISTRIES["trajectory"]
@@ -114,9 +114,9 @@ def parse_reference(
 ) -> Component:
     """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces the signal of channel x.
 
-    The package's trajectories have a signal for each channel of the vehicle. A plant that flies with fewer channels
-    takes the first signals. A plant that does not fly takes only rest at zero (:func:`is_flight`). A user's trajectory
-    has a signal for each channel of the plant.
+    The package's trajectories have a signal for each channel of the vehicle. If a plant that flies has fewer channels,
+    it takes the first of these signals. A plant that does not fly takes only rest at zero (:func:`is_flight`). A user's
+    trajectory has a signal for each channel of the plant.
 
     Args:
         table: Table of the reference.
@@ -146,11 +146,11 @@ def parse_reference(
 
 
 def replaced_signals(joint: Component, signals: Mapping[int, Component], channels: Sequence[str]) -> Component:
-    """A trajectory in which some channels follow a signal of their own.
+    """Replace the signals of some channels in a trajectory.
 
     Args:
         joint: The trajectory of all channels.
-        signals: The signals by index of the channel.
+        signals: The new signals, by index of the channel.
         channels: Names of the channels.
     """
     numbers = list(joint.under("reference.joint", "reference").numbers)
@@ -165,11 +165,11 @@ def parse_channels(table: TomlTable | list[TomlTable], slot: str, channels: tupl
     """Parse one component for each channel.
 
     A table such as ``[controller.x]`` overrides the common ``[controller]``, or replaces it if the kind differs. All
-    channels share a number that no channel overrides: its law has one draw, and it can be one axis.
+    channels share a number that no channel overrides: its law has one value in a draw, and a sweep has one axis for it.
 
     Args:
-        table: Table of the slot, with a table for single channels; or the list ``[[actuator]]``.
-        slot: The slot.
+        table: Table of the slot, which may contain tables of channels; or the list ``[[actuator]]``.
+        slot: Name of the slot.
         channels: Names of the channels; one empty name for a plant with one channel.
 
     Raises:
@@ -201,7 +201,7 @@ COMMAND = "command"
 def disturbance_place(table: TomlTable, path: str, channels: Sequence[str], inputs: Sequence[str]) -> str:
     """Place at which a disturbance acts: the name of a channel or of a disturbance input of the plant.
 
-    The only channel of a plant with one channel has an empty name; a study names it ``command``.
+    The channel of a plant with one channel has an empty name; a study calls this place ``command``.
 
     Args:
         table: Table of the disturbance.
@@ -227,8 +227,8 @@ def placed_disturbances(
 ) -> dict[str, list[Component]]:
     """Parse ``[[disturbance]]``, or a single table with ``input``, into the disturbances at each place of the plant.
 
-    Their numbers have their names in the study, but their paths begin at the disturbance itself;
-    :func:`disturbance_sum` completes the paths.
+    The numbers of the disturbances already have their names in the study. Their paths begin at the disturbance itself;
+    :func:`disturbance_sum` completes them.
 
     Args:
         table: The section ``disturbance``.
@@ -252,7 +252,7 @@ def placed_disturbances(
 
 
 def disturbance_sum(parts: Sequence[Component], path: str) -> Component:
-    """Sum of the disturbances at one place of the plant.
+    """Add up the disturbances at one place of the plant.
 
     Args:
         parts: The disturbances, from :func:`placed_disturbances`; without any, the kind of the sum is ``none``.
@@ -276,6 +276,11 @@ def parse_disturbances(
 ) -> list[Component]:
     """Parse the disturbance at the command of each channel, from ``[disturbance]`` or ``[[disturbance]]``.
 
+    Args:
+        table: The section ``disturbance``, a table or a list of tables.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        inputs: Names of the plant's disturbance inputs.
+
     Raises:
         ConfigError: A disturbance is not valid.
     """
@@ -292,6 +297,11 @@ def parse_inputs(
     table: TomlTable | list[TomlTable], channels: tuple[str, ...], inputs: Sequence[str]
 ) -> list[Component]:
     """Parse the disturbance at each named input of the plant; its kind is ``none`` where no table names the input.
+
+    Args:
+        table: The section ``disturbance``, a table or a list of tables.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        inputs: Names of the plant's disturbance inputs.
 
     Raises:
         ConfigError: A disturbance is not valid.

@@ -37,7 +37,7 @@ Answer = TypeVar("Answer")
 
 
 def with_files(table: Mapping[str, object], folder: Path) -> TomlTable:
-    """A study's table with the content of its recorded signals and the digests of its native code.
+    """Copy a study's table, with the content of its recorded signals and the digests of its native code.
 
     Args:
         table: Table of the study.
@@ -50,7 +50,7 @@ def with_files(table: Mapping[str, object], folder: Path) -> TomlTable:
 
 
 def hash_of(table: Mapping[str, object]) -> str:
-    """SHA-256 hash of a study's table, by which equal studies are recognised."""
+    """SHA-256 hash of a table, such as a study's; equal tables have equal hashes."""
     return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
 
@@ -81,7 +81,7 @@ class Study:
     requirements: tuple[Requirement, ...]
 
     def __repr__(self) -> str:
-        """Name, draws, and counts of uncertain and swept numbers, on one line."""
+        """One line with the study's name, its draws, and the counts of uncertain and swept numbers."""
         uncertain = len(self.written_laws)
         return f"<Study {self.name!r}: {self.config.draws} draws, {uncertain} uncertain, {len(self.axes)} swept>"
 
@@ -91,7 +91,7 @@ class Study:
 
     @classmethod
     def load(cls, path: str | Path) -> "Study":
-        """Read and validate a study; models that it refers to as ``module:object`` are imported.
+        """Read and validate a study; models that the study names as ``module:object`` are imported.
 
         Recorded signals (``file`` and ``column``) are read from files relative to the study's folder. Native code must
         have been loaded before (:func:`dssc_jax.allow_native`).
@@ -107,7 +107,7 @@ class Study:
 
     @classmethod
     def from_table(cls, table: Mapping[str, object], source: str = "study") -> "Study":
-        """Build a study from the content of a study file; models that it refers to are imported.
+        """Build a study from the content of a study file; models that the content names are imported.
 
         Args:
             table: Content of a study file.
@@ -157,7 +157,7 @@ class Study:
     def written_laws(self) -> dict[str, Law]:
         """Law of each uncertain number by dotted name, as the study states it; swept numbers have no law.
 
-        The arguments of some laws may be ranges; :attr:`laws` admits only laws from which draws can be made.
+        The arguments of these laws may be ranges. :attr:`laws` has the same laws, but raises an error for ranges.
         """
         return {name: leaf for name, leaf in self.leaves().items() if isinstance(leaf, Law) and name not in self.axes}
 
@@ -168,7 +168,7 @@ class Study:
 
     @property
     def laws(self) -> dict[str, Law]:
-        """Law of each uncertain number by dotted name, from which its draws are made; swept numbers have no law.
+        """Law of each uncertain number by dotted name, for making draws; swept numbers have no law.
 
         Raises:
             ConfigError: The arguments of a law are ranges.
@@ -177,7 +177,7 @@ class Study:
         return self.written_laws
 
     def require_single_laws(self) -> None:
-        """Require that every law is a single one, from which draws can be made.
+        """Require that no law has ranges as arguments, so that draws can be made from every law.
 
         Raises:
             ConfigError: The arguments of a law are ranges.
@@ -225,7 +225,10 @@ class Study:
         return tuple(name for name, number in self.numbers.items() if laws & {name, *number.sources})
 
     def followers(self, name: str) -> tuple[str, ...]:
-        """Dotted names of the loop's numbers that change with a number: all that follow from a parameter, or itself."""
+        """Dotted names of the loop's numbers that change if a number changes.
+
+        For a parameter, these are all numbers that follow from it; for any other number, the number itself.
+        """
         parameter_names = self.parameter_names
         if name not in parameter_names:
             return (name,)
@@ -247,10 +250,10 @@ class Study:
         return tuple(f"{PARAMETERS}.{name}" for name in self.config.parameters if name not in used_names)
 
     def require_free(self, name: str) -> None:
-        """Require that a number can be changed, because it does not follow from parameters by an expression.
+        """Require that a number can be changed, because no expression determines it.
 
         Raises:
-            ConfigError: It follows from parameters.
+            ConfigError: An expression determines the number.
         """
         number = self.numbers.get(name)
         if number and number.expression:
@@ -268,8 +271,8 @@ class Study:
             values: Numbers, arrays or traced values of parameters, by dotted name.
 
         Returns:
-            One value, or array, for each number whose expression names one of these parameters. A number that also
-            depends on the law of another parameter is left out.
+            One value, or array, for each number whose expression depends on one of these parameters. A number that
+            also depends on the law of a parameter that is not among ``values`` is left out.
         """
         values_by_name = {}
         for name, number in self.numbers.items():
@@ -283,10 +286,12 @@ class Study:
         return values_by_name
 
     def violations(self, values: Mapping[str, Numeric]) -> dict[str, str]:
-        """Rule that each number would violate at these values, in words, by dotted name; empty if all are admissible.
+        """The rule that a number would violate at given values, in words, by dotted name of each such number.
+
+        The result is empty if all values are admissible.
 
         Args:
-            values: Values, or arrays of values, by dotted name; numbers that follow from them are checked too.
+            values: Values, or arrays of values, by dotted name. Numbers that follow from these values are checked, too.
         """
         rules_by_name = {}
         for name, column in (dict(values) | self.derived(values)).items():
@@ -307,18 +312,19 @@ class Study:
         return {name: number.value for name, number in self.numbers.items()}
 
     def params(self, values: Mapping[str, Numeric]) -> LoopParams:
-        """The loop's parameters of one draw or one trace, with values in place of laws and swept numbers.
+        """The parameters of the loop in one draw, or in one trace, with values in place of laws and swept numbers.
 
         Args:
-            values: Numbers or traced values by dotted name; numbers that follow from them are computed. A leaf that is
-                no number of the study, such as one that ``prepare`` computes, has its dotted path as its name.
+            values: Numbers or traced values by dotted name. Numbers that follow from these values are computed. The
+                name of a leaf that is no number of the study, such as one that ``prepare`` computes, is its dotted
+                path.
         """
         all_values = self.derived(values) | dict(values)
         leaves, tree = tree_flatten(self.template)
         return tree.unflatten(all_values.get(name, leaf) for name, leaf in zip(self.leaf_names(), leaves, strict=True))
 
     def leaf_names(self) -> list[str]:
-        """Name of the number at each leaf of the template; the dotted path of a leaf that is no number."""
+        """Name of the number at each leaf of the template; for a leaf that is no number, its dotted path."""
         name_by_path = {}
         for name, number in self.numbers.items():
             for path in number.paths:
@@ -331,7 +337,7 @@ class Study:
 def takes_file(
     function: Callable[Concatenate[Study, Arguments], Answer],
 ) -> Callable[Concatenate[Study | str | Path, Arguments], Answer]:
-    """Decorator that lets a function of a study also take the study's file, or the name of a packaged study."""
+    """Decorate a function of a study, so that it also takes the study's file, or the name of a packaged study."""
 
     @wraps(function)
     def with_loaded_study(study: Study | str | Path, *arguments: Arguments.args, **options: Arguments.kwargs) -> Answer:

@@ -1,4 +1,4 @@
-"""Checks of a study's axes: each axis is a number of the loop, and the number's part is valid for all swept values."""
+"""Checks of a study's axes: each is a number of the loop, whose part is valid for all values of the axis."""
 
 import copy
 from collections.abc import Mapping
@@ -33,10 +33,10 @@ from dssc_jax.study.tables import PARAMETERS, set_dotted
 
 
 def check_axes(config: StudyTable, numbers: Mapping[str, Number]) -> None:
-    """Require that every axis is a number of the loop that may be swept, with admissible values.
+    """Require that every axis is a number of the loop that may be swept, and that its values are admissible.
 
     Raises:
-        ConfigError: An axis is no such number, or a value is not admissible.
+        ConfigError: An axis is no number of the loop or may not be swept, or a value is not admissible.
     """
     for name, values in config.sweep.items():
         with errors_under(f"sweep.{name}"):
@@ -57,7 +57,7 @@ def check_axes(config: StudyTable, numbers: Mapping[str, Number]) -> None:
 
 
 def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number]) -> str:
-    """End of the message about an unknown number: that its part has no numbers, or the nearest name.
+    """End of the message about an unknown number: the nearest name, or that its part has no numbers.
 
     Args:
         name: Dotted name of the unknown number.
@@ -87,9 +87,9 @@ def check_swept_parts(
     measurable: Mapping[str, NamedSignal],
     numbers: Mapping[str, Number],
 ) -> None:
-    """Require that parts are valid for all swept values, also by rules that concern several of their fields.
+    """Require that parts are valid for all swept values, also by rules that concern several fields of a part.
 
-    The parts are parsed once more, with a law ``choice`` of the swept values in place of each swept number.
+    The function parses the parts once more, with a law ``choice`` of the swept values in place of each swept number.
 
     Args:
         table: Table of the study.
@@ -121,7 +121,7 @@ def check_swept_parts(
 
 
 def parse_slot(slot: str, table: Any, loop: Loop, measurable: Mapping[str, NamedSignal]) -> None:
-    """Parse the table of a slot, only to check its rules; the parsed part is dropped.
+    """Parse the table of a slot only to check the rules of its parts; the result of parsing is dropped.
 
     Args:
         slot: Name of the slot.

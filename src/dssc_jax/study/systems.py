@@ -10,9 +10,9 @@ from dssc_jax.models.plants.linear import DELAYED_BY_A_SAMPLE
 
 
 def plant_table(system: Any) -> TomlTable:
-    """Table ``[plant]`` of a linear system, of kind ``state_space`` or ``transfer_function``.
+    """Convert a linear system into a table ``[plant]`` of kind ``state_space`` or ``transfer_function``.
 
-    The table contains the numbers of the system and no reference to code. A law may replace any of the numbers.
+    The table contains the numbers of the system, and does not refer to code. A law may replace any of the numbers.
 
     Args:
         system: A continuous-time system with one input and one output: ``scipy.signal.StateSpace``,

@@ -10,20 +10,21 @@ from dssc_jax.study.parsed_values import AXES
 from dssc_jax.study.tables import KEYED_BY_NAMES, toml_entry
 
 UNKNOWN_NAME = "unknown name"
-"""Beginning of the rule in the error of an unknown name."""
+"""Beginning of the rule in the error about an unknown name."""
 NOT_SET = (
     "is not set by a study: the part computes it. A number of a part of your own that studies set has a type such as "
     'Annotated[float, Quantity("V", "source voltage")]'
 )
-"""Rule against a field that a table must not set."""
+"""Rule in the error about a field that a table must not set."""
 
 
 @contextmanager
 def value_errors_at(place: str) -> Iterator[None]:
-    """Report a ``ValueError`` raised inside as a ``ConfigError`` at a place of the study.
+    """Turn a ``ValueError`` within the context into a ``ConfigError`` at a place of the study.
 
     Raises:
-        ConfigError: The error with the place; a ``ConfigError`` raised inside has its own and passes unchanged.
+        ConfigError: The error with the place. A ``ConfigError`` within the context already has a place, and passes
+            unchanged.
     """
     try:
         yield
@@ -34,7 +35,7 @@ def value_errors_at(place: str) -> Iterator[None]:
 
 
 def first_error(error: ValidationError, names: Iterable[str], computed: Collection[str] = ()) -> ConfigError:
-    """Translate pydantic's first error into an error of this package; a misspelt name precedes all other errors.
+    """Translate pydantic's first error into an error of this package; an error about a misspelt name comes first.
 
     A name counts as misspelt if it is unknown and resembles a required name that is missing.
 
@@ -78,11 +79,11 @@ def quotes_hint(section: str, key: str, value: object) -> str:
 
     Args:
         section: Dotted name of the table.
-        key: Key without a valid value.
+        key: Key whose value is not valid.
         value: Value of the key.
 
     Returns:
-        End of a message with the quoted entry; empty without a hint.
+        End of a message with the quoted entry; empty if there is no hint.
     """
     if section not in KEYED_BY_NAMES or section == "correlation":  # whose keys are pairs of names
         return ""

@@ -25,7 +25,7 @@ LONGEST_INDEX = 9  # most digits of an index in a dotted name
 DEEPEST = 32  # most levels of tables within tables, and most parts of a dotted name
 DOTTED_NAME = rf"(?:[^\s.=,\[\]{{}}]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}"
 LONG_NAME = re.compile(rf"^[ \t\[]*+{DOTTED_NAME}|[{{,][ \t]*+{DOTTED_NAME}", re.MULTILINE)
-"""A dotted name that is too long. It is refused before parsing, whose time grows with the square of its length."""
+"""A dotted name that is too long; it is refused before parsing, since that takes a time quadratic in its length."""
 
 
 def read_toml(path: str | Path) -> TomlTable:
@@ -71,7 +71,7 @@ def require_shallow(table: Mapping[str, object]) -> None:
     """Require that tables and lists are nested at most :data:`DEEPEST` levels deep.
 
     Raises:
-        ConfigError: They are nested deeper.
+        ConfigError: Tables or lists are nested deeper.
     """
     level: list[Any] = [table]  # all tables and lists at one depth
     for _ in range(DEEPEST):
@@ -132,9 +132,9 @@ def is_index(part: str) -> bool:
 
 
 def index_in(container: object, part: str) -> int | None:
-    """Find the index of the item of a list for which a part of a dotted name stands, by its ``name`` or its index.
+    """Index of the list's item to which a part of a dotted name refers, by the item's entry ``name`` or by its index.
 
-    None if the container is no list or has no such item.
+    The result is None if the container is no list or has no such item.
     """
     if not isinstance(container, list):
         return None
@@ -147,8 +147,8 @@ def index_in(container: object, part: str) -> int | None:
 def set_dotted(table: TomlTable, name: str, value: object) -> None:
     """Set ``table[a][b][c]`` for the name ``a.b.c``, in place; missing tables are created.
 
-    Items of a list are given by index, or by the entry ``name`` of a table in it. If the table does not state the list,
-    a table of items by index takes its place, which :func:`with_default` merges with the default list later.
+    The name refers to items of a list by index, or by the entry ``name`` of an item. If the table does not state the
+    list, a table of items by index takes its place; :func:`with_default` later merges it with the default list.
 
     Raises:
         ConfigError: The name has an empty part, or leads through a number or beyond the end of a list.
@@ -193,9 +193,9 @@ def entry_or_new_table(container: Any, part: str, parents: Sequence[str], name: 
 
     Args:
         container: Table or list.
-        part: Part of the name.
-        parents: Parts before it, for messages.
-        name: Whole name, for messages.
+        part: Part of the dotted name.
+        parents: Parts of the name before this part, for messages.
+        name: The whole name, for messages.
 
     Raises:
         ConfigError: The container is neither a table nor a list with such an item.
@@ -211,7 +211,7 @@ def entry_or_new_table(container: Any, part: str, parents: Sequence[str], name: 
 
 
 def no_such_part(container: object, parents: Sequence[str], part: str) -> str:
-    """Rule of a message: a container has nothing under a part of a dotted name.
+    """Text of a message that a container has no entry for a part of a dotted name.
 
     Args:
         container: List, or a value that contains nothing.
@@ -262,7 +262,7 @@ def with_entries(values: Sequence[Any], entries: Mapping[str, Any]) -> list[Any]
 
 
 def with_default(value: Any, default: Any) -> Any:
-    """The value of a field: entries by index change a default list, any other value replaces the default.
+    """Value of a field: a table of entries by index changes a default list; any other value replaces the default.
 
     Raises:
         ConfigError: The default list has no such index.
@@ -275,9 +275,9 @@ def with_default(value: Any, default: Any) -> Any:
 
 
 def with_description(value: object, former_content: object) -> object:
-    """Replace the content of a parameter, and keep the unit and the meaning of its former content.
+    """New content of a parameter, with the unit and the meaning that its former content states.
 
-    A new content that is a table other than a law states its own unit and meaning.
+    If the new content is a table other than a law, it stays as it is, with the unit and meaning that it states itself.
     """
     states_description = isinstance(value, dict) and not is_law(value)
     if states_description or not isinstance(former_content, dict):
@@ -318,10 +318,10 @@ def merge_tables(common: TomlTable, override: TomlTable) -> TomlTable:
 
 
 def merge_values(inherited: Any, value: Any) -> Any:
-    """Merge a value into an inherited one.
+    """Merge a value into an inherited value.
 
-    A table is merged into a table of the same kind, and entries by index into a list. Any other value replaces the
-    inherited one.
+    A table is merged into a table of the same kind, unless one of them is a law. Entries by index are merged into a
+    list. Any other value replaces the inherited one.
 
     Raises:
         ConfigError: The list has no such index.
@@ -333,14 +333,14 @@ def merge_values(inherited: Any, value: Any) -> Any:
 
 
 def has_kind_of(override: Mapping[str, object], inherited: Mapping[str, object]) -> bool:
-    """Whether a table has the kind of the table that it overrides, or states none."""
+    """Whether a table has the same kind as the table that it overrides, or states no kind."""
     return override.get("kind", inherited.get("kind")) == inherited.get("kind")
 
 
 def stands_alone(override: TomlTable, common: TomlTable) -> bool:
     """Whether a channel's table replaces the common table of all channels, because it has another kind.
 
-    A common table without a kind contains the values that channels of several kinds share.
+    A common table without a kind is never replaced: it contains values that channels of several kinds share.
     """
     return "kind" in common and not has_kind_of(override, common)
 
@@ -351,14 +351,17 @@ def common_table(table: TomlTable, channels: Collection[str]) -> TomlTable:
 
 
 def channel_table(common: TomlTable, override: TomlTable) -> TomlTable:
-    """Table of one channel: its own values merged into the common table, or its own table if the kind differs."""
+    """Table of one channel: its own table merged into the common one, or its own table alone if the kind differs."""
     if stands_alone(override, common):
         return dict(override)
     return merge_tables(common, override)
 
 
 def has_dotted(table: TomlTable, name: str) -> bool:
-    """Whether a table states the entry with a dotted name; a value other than a table on the way states it, too."""
+    """Whether a table states the entry with a dotted name.
+
+    A value other than a table on the way to the entry, such as a list, counts as a statement of the entry.
+    """
     node: Any = table
     for part in name.split("."):
         if not isinstance(node, dict):
@@ -370,7 +373,7 @@ def has_dotted(table: TomlTable, name: str) -> bool:
 
 
 def enclosing_list(table: Mapping[str, object], name: str) -> tuple[str, list[Any]] | None:
-    """Find the outermost list that contains the entry with a dotted name, with its own name; None if there is none."""
+    """Name and content of the outermost list that contains the entry with a dotted name; None if no list does."""
     node: Any = table
     parts = name.split(".")
     for depth, part in enumerate(parts):

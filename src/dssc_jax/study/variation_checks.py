@@ -1,4 +1,4 @@
-"""Check of a user's part that declares what it depends on within a sample: whether it depends on more."""
+"""Check that a user's part does not depend, within a sample, on more than it declares."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,22 +13,22 @@ from dssc_jax.core.signals import Measurement, Params, Scalar
 from dssc_jax.study.laws import nominal_params
 
 ANY_NUMBER = 0.5
-"""Value of an argument in a trace, which does not depend on it."""
+"""Value of an argument in a trace; the result of the trace does not depend on the value."""
 
 
 def require_variation(kind: str, model: object, params: Params) -> None:
     """Require that a user's disturbance or unmodelled dynamics depend on no more than they declare.
 
-    A trace of the part's functions tells their dependences. A part whose code fails passes, since the rehearsal names
-    the line that fails.
+    A trace of the part's functions shows on which arguments they depend. A part whose code fails passes this check:
+    the rehearsal of the loop reports the failure, with the line of code.
 
     Args:
         kind: Kind of the part in the study, for messages.
         model: The part; parts of all other slots pass.
-        params: Its parameters, which may contain laws; the check takes their nominal values.
+        params: Parameters of the part, which may contain laws; the check takes their nominal values.
 
     Raises:
-        ConfigError: The part depends on more.
+        ConfigError: The part depends on more than it declares.
     """
     problem = None
     numbers = nominal_params(params)
@@ -45,13 +45,13 @@ def require_variation(kind: str, model: object, params: Params) -> None:
 
 
 def disturbance_problem(model: Disturbance, params: Params) -> str | None:
-    """The contradiction between a disturbance and its declared ``variation``, in words; None if there is none."""
+    """Text on a contradiction between a disturbance and its declared ``variation``; None if there is none."""
     if model.variation == Variation.STATE:  # it may depend on everything
         return None
     state = as_arrays(model.init(params, jax.random.key(0)))
 
     def value(y: Scalar, y_dot: Scalar, sigma: Scalar, t: Scalar) -> Scalar:
-        """Value of the disturbance within a sample, in which its own state is constant."""
+        """Value of the disturbance within a sample, during which the disturbance's own state is constant."""
         return model.value(params, state, Measurement(y, y_dot), sigma, t)
 
     argument_names = ("y", "y'", "sigma", "t")
@@ -69,7 +69,7 @@ def disturbance_problem(model: Disturbance, params: Params) -> str | None:
 
 
 def actuator_problem(model: Unmodelled, params: Params) -> str | None:
-    """The contradiction between unmodelled dynamics and their declared ``held``, in words; None if there is none."""
+    """Text on a contradiction between unmodelled dynamics and their declared ``held``; None if there is none."""
     if not model.held or model.linear is not None or model.advance is not None:
         return None
     state = as_arrays(model.init(params))
@@ -87,11 +87,11 @@ def actuator_problem(model: Unmodelled, params: Params) -> str | None:
 
 
 def dependences(function: Callable[..., Any], *arguments: float) -> list[bool]:
-    """Whether the result of a function depends on each of its arguments: whether a trace of it uses the argument.
+    """Whether the result of a function depends on each of its arguments, that is, whether a trace uses the argument.
 
     Args:
         function: The function.
-        arguments: Values at which it is traced; only their types matter.
+        arguments: Values of the arguments in the trace; only their types matter.
     """
     program = jax.make_jaxpr(function)(*arguments).jaxpr
     is_result_needed = [True] * len(program.outvars)
