@@ -13,6 +13,7 @@ from pyarrow import parquet
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.results.export import matlab_name
 from tests.results.test_durability import SMALL
 
 
@@ -108,3 +109,16 @@ def test_command(result, capsys):
     assert guarded(["export", str(result.path), "--to", "netcdf"]) == 0
     assert "result.nc" in capsys.readouterr().out
     assert guarded(["export", str(result.path), "--to", "pdf"]) == 2
+
+
+def test_names_for_matlab_are_short_and_differ():
+    """Of 63 characters at most, also with an ending; one that is taken is not given again."""
+    taken = ["a", "a_v3"]
+    for _ in range(3):
+        taken.append(matlab_name("a", taken))
+    assert taken == ["a", "a_v3", "a_v2", "a_v4", "a_v5"]
+    long = ["9" * 80]
+    for _ in range(12):
+        long.append(matlab_name("9" * 80, long))
+    assert len(set(long)) == 13
+    assert all(len(name) == 63 and name.startswith("v9") for name in long[1:])

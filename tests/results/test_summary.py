@@ -1,5 +1,6 @@
 """What a summary says of several requirements: each by itself, over all draws, beside the joint failure."""
 
+import dataclasses
 import json
 import tracemalloc
 from itertools import combinations
@@ -333,6 +334,16 @@ SURE = {
     "controller": {"kind": "pid", "k_p": 1.0},
     "requirement": [{"metric": "error_max", "max": 2.0}],
 }
+
+
+def test_equal_draws_may_have_no_value(tmp_path):
+    """A metric that no draw has is the same in all of them."""
+    result = dj.run(dj.Study.from_table(SURE), tmp_path / "r")
+    without = result.dataset.assign(error_max=np.nan * result.dataset["error_max"])
+    assert dataclasses.replace(result, dataset=without).has_equal_draws
+    one = without["error_max"].copy()
+    one[0] = 1.0
+    assert not dataclasses.replace(result, dataset=without.assign(error_max=one)).has_equal_draws
 
 
 @pytest.mark.parametrize(

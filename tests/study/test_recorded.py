@@ -70,6 +70,14 @@ def test_another_time_column(folder):
     assert float(run["y_ref"][150]) == VALUES[2]  # 1.5 s is 0.5 s after the first
 
 
+def test_one_column_may_serve_two_fields(tmp_path):
+    """As of a wind with the same gust along x and y, or of a value that rises as the time."""
+    (tmp_path / "wind.csv").write_text("t,w,z\n0,1,2\n1,3,4\n")
+    found = recorded_columns(tmp_path / "wind.csv", ["t", "w", "w", "z"])
+    assert found == [[0.0, 1.0], [1.0, 3.0], [1.0, 3.0], [2.0, 4.0]]
+    assert recorded_columns(tmp_path / "wind.csv", ["t", "t"]) == [[0.0, 1.0], [0.0, 1.0]]
+
+
 def test_a_rate_comes_from_a_file_of_its_own(folder):
     """Or from the record's file, in another column."""
     times = np.arange(0.1, 5.0, 0.5)

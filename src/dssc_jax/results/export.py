@@ -2,6 +2,7 @@
 
 import importlib
 import io
+import itertools
 import json
 import re
 from collections.abc import Callable, Iterable
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TABLE_ROWS = 2**17
+LONGEST_NAME = 63  # characters of a name in MATLAB
 """Number of rows that are written at a time."""
 MEANING = "outcome_meaning"  # column with the outcome in words
 CSVW = "http://www.w3.org/ns/csvw"  # context of the metadata of "CSV on the Web"
@@ -300,20 +302,23 @@ def write_mat(result: Result | Analysis, file: IO[bytes]) -> None:
 
 
 def matlab_name(name: str, used_names: Iterable[str]) -> str:
-    """Make a valid MATLAB name of at most 63 characters that is not among the used names.
+    """Make a valid MATLAB name of at most :data:`LONGEST_NAME` characters that is not among the used names.
 
     Args:
         name: Any name; an underscore replaces each character that MATLAB does not allow.
         used_names: Names that are taken; a further variable of the same name gets the ending ``_v2``, ``_v3``, ...
     """
-    plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:60]
-    starts_with_letter = plain[:1].isalpha()
-    if not starts_with_letter:
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+    if not plain[:1].isalpha():
         plain = f"v{plain}"
-    if plain not in used_names:
-        return plain
-    alike = sum(used_name == plain or used_name.startswith(f"{plain}_v") for used_name in used_names)
-    return f"{plain}_v{alike + 1}"
+    taken = set(used_names)
+    candidate = plain[:LONGEST_NAME]
+    for number in itertools.count(2):
+        if candidate not in taken:
+            break
+        ending = f"_v{number}"
+        candidate = f"{plain[: LONGEST_NAME - len(ending)]}{ending}"
+    return candidate
 
 
 def file_provenance(result: Result | Analysis) -> dict[str, str]:

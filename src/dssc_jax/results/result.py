@@ -193,9 +193,9 @@ class Result:
     def has_equal_draws(self) -> bool:
         """Whether all draws are the same because nothing in the study is random; an interval then has no meaning.
 
-        The draws count as the same if no number has a law, all draws have equal outcomes and metrics, and at least one
-        metric is not a whole number. Counts may agree by chance, but noise, turbulence or a random disturbance would
-        change such a metric.
+        The draws count as the same if no number has a law, all draws have equal outcomes and metrics, or none of a
+        metric, and at least one metric is not a whole number. Counts may agree by chance, but noise, turbulence or a
+        random disturbance would change such a metric.
         """
         if self.study.laws or self.study.config.draws < 2:
             return False
@@ -203,7 +203,8 @@ class Result:
         outcomes = self.dataset["outcome"].transpose(..., "draw").values
         for values in (outcomes, *metrics):
             first_draw = values[..., :1]
-            if np.any(values != first_draw):
+            is_undefined_in_both = np.isnan(values) & np.isnan(first_draw)
+            if np.any((values != first_draw) & ~is_undefined_in_both):
                 return False
         return any(np.any(np.isfinite(values) & (values != np.rint(values))) for values in metrics)
 

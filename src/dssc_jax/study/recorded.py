@@ -164,14 +164,14 @@ def recorded_columns(path: Path, names: list[str], label: str = "column") -> lis
     """
     frame = recorded_frame(path)
     time_name = names[0]
-    columns: dict[str, list[float]] = {}
     for name in names:
         if name not in frame:
             field = "time_column" if name == time_name else label
             raise ConfigError(field, f"'{path.name}' has no column '{name}'; {nearest(name, map(str, frame.columns))}")
+    columns = []
     for index, name in enumerate(names):
-        columns[name] = numbers_of(frame[name], path, field="time_column" if index == 0 else label)
-    table = np.array(list(columns.values()))  # shape (columns, rows)
+        columns.append(numbers_of(frame[name], path, field="time_column" if index == 0 else label))
+    table = np.array(columns)  # shape (columns, rows)
     incomplete_rows = np.flatnonzero(np.any(np.isnan(table), axis=0))
     require_empty(path, [list(frame.columns).index(name) for name in names], incomplete_rows, len(frame))
     complete_rows = np.setdiff1d(np.arange(len(frame)), incomplete_rows)
