@@ -33,7 +33,7 @@ TINY = 1e-300  # in place of 0 in a denominator
 
 
 def fit_scale(law: Law, values: np.ndarray | float) -> np.ndarray:
-    """Values on the scale of the fit."""
+    """Values on the scale of the fit: their logarithms if the law is logarithmic, else the values themselves."""
     return np.log(values) if law.logarithmic else np.asarray(values, float)
 
 
@@ -61,7 +61,13 @@ class Readings(NamedTuple):
 
     @classmethod
     def of(cls, log: SampledLog, channel: int, sample_time: float) -> "Readings":
-        """The readings of a channel."""
+        """The readings of a channel of a log, with the weights of Lagrange's polynomial through four samples.
+
+        Args:
+            log: The log.
+            channel: Position of the channel.
+            sample_time: Time between two samples [s].
+        """
         finite_rows = np.flatnonzero(np.isfinite(log.outputs[channel]))
         values = log.outputs[channel, finite_rows]
         position = finite_rows + log.offsets[channel, finite_rows]
@@ -109,10 +115,11 @@ class FitProblem:
         predict: The prediction for these numbers.
         log: The log.
         count: Counts the simulations.
-        kept: Those of the numbers that keep their laws.
+        kept: Names of the numbers that keep their laws.
         disturbances: The noise by the study's random disturbances, which problems of the same log share.
-        is_shifted: Whether signals are at other times than logged. Noise by the study's random disturbances then stays
-            that: commands answer the disturbances, so with later commands less of another noise may be left.
+        is_shifted: Whether signals are at other times than logged. Noise of the study's random disturbances is then not
+            replaced by another kind: commands answer the disturbances, so with later commands less of another noise
+            may be left.
     """
 
     study: Study
@@ -155,7 +162,7 @@ class FitProblem:
     def is_admissible(self, values: np.ndarray) -> bool:
         """Whether these values of the fitted numbers, and all numbers that follow from them, are in their ranges.
 
-        All other laws have their medians, which are checked, too.
+        Numbers with other laws have their medians, which are checked, too.
         """
         medians = {name: law.median for name, law in self.study.laws.items()}
         return not self.study.violations(medians | dict(zip(self.names, values.tolist(), strict=True)))
@@ -212,11 +219,11 @@ class FitProblem:
 
     @property
     def fitted_names(self) -> list[str]:
-        """Names of these numbers."""
+        """Names of the numbers that do not keep their laws."""
         return [self.names[i] for i in self.fitted]
 
     def keeping(self, names: Iterable[str]) -> "FitProblem":
-        """The problem in which other numbers keep their laws, with white noise, as at the beginning of a search."""
+        """The problem in which the given numbers alone keep their laws; its noise is white, as before any search."""
         return replace(self, kept=frozenset(names))
 
     def noise_searches(self, x: np.ndarray) -> list[NoiseSearch]:
@@ -228,7 +235,7 @@ class FitProblem:
         """The search for the noise of a residual.
 
         Args:
-            row: Position of its readings.
+            row: Position of the channel's readings.
             columns: Residual and slopes, shape (n, 1 + p).
             simulated: Simulations of random disturbances, shape (replicates, channels, samples); None: there are none.
         """
@@ -243,9 +250,10 @@ class FitProblem:
         )
 
     def weight_as_declared(self) -> None:
-        """Replace the noises by those that the study declares, at the medians of the laws; white ones stay without any.
+        """Replace the noises by those that the study declares, at the medians of the laws; without any, keep them.
 
-        Commands answer disturbances. With white noise the search would begin near numbers that tell the controller.
+        Commands answer disturbances. With white noise the search would begin near numbers that describe the controller
+        instead of the plant.
         """
         medians = np.zeros(len(self.names))
         simulated = self.disturbances.simulate(self.study, self.names, self.values(medians), self.log.commands)
@@ -265,7 +273,13 @@ class FitProblem:
 
 
 def averaged_covariance(problem: FitProblem, posteriors: Sequence[NoisePosterior], x: np.ndarray) -> np.ndarray:
-    """Second moments of the coordinates about the estimate x over all noises that the residual allows, (p, p)."""
+    """Second moments of the coordinates about an estimate, averaged over all noises that the residual allows, (p, p).
+
+    Args:
+        problem: The problem.
+        posteriors: Posterior law of the noise of each channel's residual.
+        x: Coordinates of the estimate, shape (p,).
+    """
     count = len(problem.names)
     information = np.zeros((NOISE_DRAWS, count, count))
     gradient = np.zeros((NOISE_DRAWS, count))

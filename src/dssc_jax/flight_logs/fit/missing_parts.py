@@ -94,17 +94,17 @@ def friction(speed: np.ndarray) -> np.ndarray:
 
 
 def drag_forces(flight: Flight, size: float) -> np.ndarray:
-    """Quadratic drag, whose size is that at a speed of 1."""
+    """Forces of quadratic drag, shape (n,) [u]; the size is the drag at a speed of 1."""
     return size * quadratic_drag(flight.speed)
 
 
 def friction_forces(flight: Flight, size: float) -> np.ndarray:
-    """Friction of a size."""
+    """Forces of friction of the given size, shape (n,) [u]."""
     return size * friction(flight.speed)
 
 
 def constant_forces(flight: Flight, size: float) -> np.ndarray:
-    """A constant force of a size."""
+    """A constant force of the given size at all samples, shape (n,) [u]."""
     return np.full(len(flight.commands), size)
 
 
@@ -119,17 +119,17 @@ def fading(flight: Flight, size: float) -> np.ndarray:
 
 
 def late(flight: Flight, size: float) -> np.ndarray:
-    """Commands that act later by a time [s]; the first one acts before them."""
+    """Commands that act later by the size [s]; until then the first command acts."""
     return delayed(flight.commands, size / flight.sample_time)
 
 
 def on_time(flight: Flight, size: float) -> np.ndarray:
-    """The commands themselves, beside a force, or of a log whose outputs are late or filtered."""
+    """The commands as they are, of a part that is a force or changes the outputs; the size does not matter."""
     return flight.commands
 
 
 def delayed(series: np.ndarray, samples: float) -> np.ndarray:
-    """A series that is later by a number of samples, with means between whole ones; shape (..., n)."""
+    """A series delayed by a number of samples, interpolated linearly between whole ones; shape (..., n)."""
     positions = np.maximum(np.arange(series.shape[-1]) - samples, 0.0)
     first = np.floor(positions).astype(int)
     share = positions - first
@@ -138,39 +138,39 @@ def delayed(series: np.ndarray, samples: float) -> np.ndarray:
 
 
 def drag_sizes(flight: Flight) -> tuple[float, ...]:
-    """A small drag beside the commands."""
+    """The first size of drag, whose forces are small beside the commands."""
     return (force_sizes(flight)[0] / max(rms(quadratic_drag(flight.speed)), TINY),)
 
 
 def force_sizes(flight: Flight) -> tuple[float, ...]:
-    """A small force beside the commands, or a small one where all are 0."""
+    """The first size of a force [u]: a share of the commands' root mean square, or of 1 if all commands are 0."""
     return (PROBE * (rms(flight.commands) or 1.0),)
 
 
 def lag_sizes(flight: Flight) -> tuple[float, ...]:
-    """Time constants [s] from half a sample on, which are short beside the flight."""
+    """The first time constants of a lag [s]: from half a sample on, and short beside the flight."""
     return tuple(flight.sample_time * samples for samples in LAGS if 10.0 * samples < len(flight.commands))
 
 
 def limit_sizes(flight: Flight) -> tuple[float, ...]:
-    """Limits that the commands reach."""
+    """The first limits [u], which the commands reach."""
     largest = float(np.abs(flight.commands).max())
     return tuple(largest * level for level in LEVELS)
 
 
 def dead_zone_sizes(flight: Flight) -> tuple[float, ...]:
-    """Half widths that are small beside the commands."""
+    """The first half widths of a dead zone [u], which are small beside the commands."""
     largest = float(np.abs(flight.commands).max())
     return tuple(largest * width for width in WIDTHS)
 
 
 def rate_sizes(flight: Flight) -> tuple[float, ...]:
-    """Rates that the commands exceed."""
+    """The first limits of the rate [u/s], which the commands exceed."""
     return tuple(largest_rate(flight) * share for share in RATES)
 
 
 def step_sizes(flight: Flight) -> tuple[float, ...]:
-    """Steps of a rounded command: numbers of two digits, and others so near to each other that a small effect shows."""
+    """The first steps of a rounded command [u]: numbers of two digits, then a fine geometric series."""
     size = rms(flight.commands)
     if size == 0.0:
         return (1.0,)
@@ -181,52 +181,52 @@ def step_sizes(flight: Flight) -> tuple[float, ...]:
 
 
 def largest_rate(flight: Flight) -> float:
-    """The largest change of the command from one sample to the next, over their time."""
+    """The largest change of the command from one sample to the next, over the sample time [u/s]."""
     return float(np.abs(np.diff(flight.commands)).max()) / flight.sample_time
 
 
 def fading_sizes(flight: Flight) -> tuple[float, ...]:
-    """A small fall of the gain."""
+    """The first size of a change of the gain: a small fall."""
     return (PROBE,)
 
 
 def is_against(flight: Flight, size: float) -> bool:
-    """Whether a force acts against the speed."""
+    """Whether a force of this size acts against the speed, as drag and friction do on any flight."""
     return size > 0.0
 
 
 def is_any(flight: Flight, size: float) -> bool:
-    """Any size means something."""
+    """True: any size means something on any flight."""
     return True
 
 
 def is_reached(flight: Flight, size: float) -> bool:
-    """Whether commands reach a limit."""
+    """Whether the commands exceed a limit of this size [u]."""
     return 0.0 < size < float(np.abs(flight.commands).max())
 
 
 def is_narrow(flight: Flight, size: float) -> bool:
-    """Whether a dead zone leaves the larger commands."""
+    """Whether a dead zone of this half width [u] lets the larger commands pass."""
     return 0.0 < size < 0.5 * float(np.abs(flight.commands).max())
 
 
 def is_rounding(flight: Flight, size: float) -> bool:
-    """Whether a step leaves several values of the commands."""
+    """Whether rounding to multiples of this step [u] leaves several values of the commands."""
     return 0.0 < size < float(np.abs(flight.commands).max()) / 2.0
 
 
 def is_exceeded(flight: Flight, size: float) -> bool:
-    """Whether commands change faster than a rate."""
+    """Whether the commands change faster than this rate [u/s]."""
     return 0.0 < size < largest_rate(flight)
 
 
 def is_short(flight: Flight, size: float) -> bool:
-    """Whether a lag is short beside the flight."""
+    """Whether a lag or a delay of this time [s] is short beside the flight."""
     return 0.0 < size < 0.2 * flight.sample_time * len(flight.commands)
 
 
 def is_moderate(flight: Flight, size: float) -> bool:
-    """Whether a change of the gain leaves most of it."""
+    """Whether the gain changes by less than the largest share that is believed, ``MOST_CHANGE``."""
     return abs(size) < MOST_CHANGE
 
 

@@ -1,4 +1,4 @@
-"""Fits of a log in which outputs or commands are replaced, as a hypothesis about what is wrong with it."""
+"""Fits of a log with other outputs or commands, which test a hypothesis about what is wrong with the log."""
 
 import math
 from typing import NamedTuple
@@ -49,7 +49,7 @@ class Squares(NamedTuple):
 
 
 def with_log(problem: FitProblem, log: SampledLog) -> FitProblem:
-    """The problem of another log, with white noise; its simulations are not counted."""
+    """The same problem with another log and white noise; its simulations are not counted."""
     return FitProblem(
         study=problem.study,
         names=problem.names,
@@ -61,7 +61,7 @@ def with_log(problem: FitProblem, log: SampledLog) -> FitProblem:
 
 
 def refit(problem: FitProblem, minimum: Minimum, log: SampledLog) -> Refit:
-    """Fit another log with white noise, from a minimum and from the medians of the laws."""
+    """Fit another log with white noise, from a minimum and from the medians of the laws; the better end counts."""
     refitted = with_log(problem, log)
     starts = (minimum.x, np.zeros_like(minimum.x))
     return Refit(refitted, min((minimise(refitted, x) for x in starts), key=lambda end: end.cost))

@@ -36,7 +36,7 @@ def roughness(problem: FitProblem, minimum: Minimum) -> float:
 
 
 def widening(rough: float) -> float:
-    """The factor by which a roughness widens the covariance; a roughness as large as the noise is 1."""
+    """The factor by which a roughness widens the covariance; 1 if the roughness is no larger than the noise."""
     return max(1.0, rough / SMOOTH)
 
 

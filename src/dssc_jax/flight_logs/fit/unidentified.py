@@ -6,10 +6,10 @@ from dssc_jax.flight_logs.fit.refusals import NotIdentifiable
 
 
 class UnidentifiedNumbers:
-    """The numbers of a fit that keep their laws, as the search for a set of numbers goes on that a flight identifies.
+    """The numbers of a fit that keep their laws, while the fit seeks a set of numbers that the flight identifies.
 
-    Where a flight identifies a combination of two numbers alone, one of them keeps its law. Which one leaves the other
-    narrower than its law is seen by trying.
+    If a flight identifies only a combination of two numbers, one of them keeps its law. Trials show which one, so that
+    the other becomes narrower than its law.
     """
 
     def __init__(self) -> None:
@@ -43,7 +43,15 @@ class UnidentifiedNumbers:
         return self.kept != before
 
     def add(self, name: str, refusal: NotIdentifiable) -> None:
-        """Keep the law of a number in a combination that is not identified, first in place of the one before it."""
+        """Keep the law of a number from a combination that is not identified.
+
+        The number replaces the one that was added before it. If the resulting set has been tried already, both keep
+        their laws.
+
+        Args:
+            name: The number.
+            refusal: The refusal that names it, with its width and reasons.
+        """
         self.widths[name] = refusal.width
         self.reasons = refusal.reasons
         exchanged = (self.kept - {self._last}) | {name}

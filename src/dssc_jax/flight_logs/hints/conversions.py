@@ -141,9 +141,9 @@ def multiple_of(logged: np.ndarray, expected: np.ndarray) -> float:
 def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
     """The multiple of its reference that a logged output follows, in words; empty: it follows none.
 
-    A closed loop follows its reference, so such an output is in another unit. It is one if the part of the output in
-    phase with its reference is nearly that multiple of it. The opposite sign is one only if the means have it, too: a
-    slow loop may lag by half a period.
+    A closed loop follows its reference, so an output that follows a multiple is in another unit. A multiple counts if
+    the part of the output in phase with the reference is nearly that multiple of it. The opposite sign counts only if
+    the means are opposite, too, because a slow loop may lag by half a period.
 
     Args:
         logged: The output, NaN where missing, shape (samples,).
@@ -168,7 +168,8 @@ def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) ->
 def late_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
     """The large multiple of its reference that an output follows late, as a slow loop does, in words; empty: none.
 
-    No loop exceeds its reference by three times and looks like it. A sign is left open, as half a period is one, too.
+    No loop has three times the size of its reference and still looks like it. Opposite signs are not tried, because a
+    lag of half a period looks the same.
 
     Args:
         logged: Values, NaN where missing, shape (samples,).
@@ -195,7 +196,7 @@ def late_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str
 
 
 def has_opposite_mean(logged: np.ndarray, reference: np.ndarray) -> bool:
-    """Whether a reference has a mean that says something, and the output nearly the opposite one; no lag turns that."""
+    """Whether a reference has a large mean, and the output nearly the opposite one: no lag changes the sign of a mean."""
     mean = float(reference.mean())
     return abs(mean) > MEAN * rms(reference) and abs(float(logged.mean()) / mean + 1.0) <= IN_PHASE
 
@@ -210,7 +211,7 @@ def likeness_text(
     little apart, are alike by themselves.
 
     Args:
-        index: Position of its channel.
+        index: Position of the channel.
         logged: Values, NaN where missing, shape (samples,).
         expected: The expected output of each channel at the same times.
         names: Names of the outputs.
@@ -235,7 +236,7 @@ def likeness_text(
 
 
 def delayed_pairs(logged: np.ndarray, expected: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """A logged output beside the expected one, for all delays and leads that a channel may have itself.
+    """A logged output and the expected one, for all delays and leads that the channel itself may have.
 
     Args:
         logged: Values, shape (samples,).
@@ -357,11 +358,11 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
 
 
 def period_of(reference: np.ndarray, longest: int) -> int:
-    """The period of a reference in samples: the least shift that agrees with it beyond shorter ones that do not.
+    """The period of a reference in samples: the least shift that agrees with it after a shorter one that does not.
 
     Args:
         reference: The reference, shape (samples,).
-        longest: The longest period that is sought; twice as much is returned if there is none.
+        longest: The longest period that is sought; twice this value is returned if there is none.
     """
     largest_difference = SAME_REFERENCE * rms(reference - np.mean(reference))
     has_differed = False
@@ -376,7 +377,7 @@ def period_of(reference: np.ndarray, longest: int) -> int:
 def is_shifted(logged: np.ndarray, reference: np.ndarray, shift: int) -> bool:
     """Whether a logged reference agrees with the study's, shifted by a number of samples.
 
-    One that never moves, or is not logged, contradicts no shift.
+    A reference that never moves, or is not logged, agrees with any shift.
     """
     variation = rms(reference - np.mean(reference))
     if variation == 0.0 or not np.isfinite(logged).any():

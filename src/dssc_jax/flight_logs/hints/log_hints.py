@@ -42,7 +42,7 @@ class LogHints:
         self.conversions.update(hints)
 
     def all(self) -> dict[str, Hint]:
-        """All of them, by signal or number."""
+        """All hints, by signal or number; of several about the same signal, that of the last kind in ``parts``."""
         numbers = (self.starts, self.attitudes)
         references = (self.shifts, self.others, self.slopes)
         parts = (self.factors, self.jumps, self.conversions, *references, *numbers, self.estimator)

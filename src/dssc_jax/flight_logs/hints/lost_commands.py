@@ -1,6 +1,6 @@
-"""Commands that a log lacks for a few samples, where the analysed controller's go on.
+"""Commands that a log lacks for a few samples, while the analysed controller's command goes on.
 
-The log repeats the last one there, or has one value in place of all of them, such as 0.
+In such spans the log repeats the last command, or has one value, such as 0, in place of all commands.
 """
 
 from typing import NamedTuple
@@ -21,11 +21,11 @@ ONE_VALUE = 0.9  # least share of the differing samples that have that value
 
 
 class LostCommands(NamedTuple):
-    """Samples that repeat the command before them.
+    """A span of samples that repeat the command before them.
 
     Args:
-        begin: The first of them.
-        end: The last one.
+        begin: Index of the first sample in the span.
+        end: Index of the last sample in the span.
         difference: Largest difference from the analysed controller's command.
     """
 
