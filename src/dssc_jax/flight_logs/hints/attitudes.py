@@ -1,7 +1,7 @@
 """The attitude with which a logged flight begins, compared with that of the study.
 
-A vehicle in wind is tilted, and one in a manoeuvre turns. Compared with a study that begins level, such a vehicle drifts
-away at first, and a fit explains that by another wind, drag or integral.
+A vehicle in wind is tilted, and one in a manoeuvre turns. Compared with a study that begins level, it drifts away at
+first, and a fit explains that by another wind, drag or integral.
 """
 
 import math

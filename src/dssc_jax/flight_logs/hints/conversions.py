@@ -196,7 +196,7 @@ def late_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str
 
 
 def has_opposite_mean(logged: np.ndarray, reference: np.ndarray) -> bool:
-    """Whether a reference has a large mean, and the output nearly the opposite one: no lag changes the sign of a mean."""
+    """Whether a reference has a large mean, and the output nearly the opposite one; no lag turns the sign of a mean."""
     mean = float(reference.mean())
     return abs(mean) > MEAN * rms(reference) and abs(float(logged.mean()) / mean + 1.0) <= IN_PHASE
 

@@ -1,4 +1,4 @@
-"""A logged reference that the controller did not get: it got the study's, of which the log has a filtered or held form."""
+"""A logged reference that the controller did not get: it got the study's, and the log has it filtered or held."""
 
 from collections.abc import Mapping
 
