@@ -107,7 +107,7 @@ def refusal_causes(
 
 
 def causes_beside_offset(mended: MendedCommand) -> tuple[SignalWarning, ...]:
-    """The warning about a mended command, then the likely causes of the residual that it leaves, unless this is noise."""
+    """The warning about a mended command, then the likely causes of what it leaves, if this is more than noise."""
     others = () if mended.leaves_noise else refusal_causes(mended.problem, mended.minimum, mended.results)[0]
     return (
         mended.warning,

@@ -66,7 +66,7 @@ between which the time lies [s]."""
 
 
 def lacking_sudden_parts(study: Study) -> list[Part]:
-    """The sudden parts that a study lacks. If a disturbance or wind of the study begins in flight, no second one does."""
+    """The sudden parts that a study lacks; no force if a disturbance or a wind of the study begins in flight."""
     has_wind_step = any(number.quantity.begins for name, number in study.numbers.items() if name.startswith(SLOTS))
     return [GAIN_STEP] if has_wind_step else [WIND_STEP, GAIN_STEP]
 

@@ -51,7 +51,7 @@ class Move(NamedTuple):
 
 
 def moved(values: np.ndarray, shift: int) -> np.ndarray:
-    """Values moved to later samples, or to earlier ones for a negative shift; an end value fills the gap, (samples,)."""
+    """Values moved to later samples, or to earlier ones for a negative shift; an end value fills the gap."""
     rows = np.clip(np.arange(len(values)) - shift, 0, len(values) - 1)
     return values[rows]
 

@@ -1,4 +1,4 @@
-"""Steps of a logged output, and their cause: a wrapped angle, a wrong column that steps with the reference, or a reset."""
+"""Steps of a logged output, and their cause: a wrapped angle, a wrong column with steps of a reference, or a reset."""
 
 from collections.abc import Sequence
 

@@ -55,7 +55,9 @@ def command_rounding(logged: np.ndarray, replayed: np.ndarray) -> Rounding | Non
 
 
 def rounding_step(levels: np.ndarray) -> float:
-    """The median distance of neighbouring values; 0 with hardly any value. The end values may be limits, and are left out.
+    """The median distance of neighbouring values; 0 with hardly any value.
+
+    The end values are left out, because they may be limits.
 
     Args:
         levels: The distinct values that occur, in ascending order.

@@ -54,7 +54,7 @@ ANY_SIZE = BodySizes(STAMPED.size, 0xFFFF)
 
 
 def message_sizes(name: str, formats: Mapping[str, str]) -> BodySizes:
-    """The sizes of a topic's messages by the log's formats; any size where the log lacks one of these."""
+    """The sizes that a topic's messages may have by the log's formats; any size if the log lacks one of the formats."""
     try:
         smallest, largest = field_sizes(name, formats)
     except (KeyError, RecursionError):
@@ -79,7 +79,7 @@ def field_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int]:
 
 
 def is_sound_text(kind: int, body: bytes) -> bool:
-    """Whether the body of a message without data is possible for its kind."""
+    """Whether a body is possible for a message of a kind other than data."""
     if kind not in KINDS or kind == DATA:
         return False
     size = len(body)
@@ -95,7 +95,7 @@ def is_sound_text(kind: int, body: bytes) -> bool:
 
 
 def is_sound_value(body: bytes) -> bool:
-    """Whether bytes are the length of a key, a key such as ``float NAME``, and a value of that type."""
+    """Whether bytes are, in this order, the length of a key, a key such as ``float NAME``, and a value of that type."""
     if not body or len(body) <= body[0]:
         return False
     key = body[1 : 1 + body[0]]
