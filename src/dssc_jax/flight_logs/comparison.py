@@ -274,7 +274,7 @@ class LogComparison(Analysis):
         )
 
     def unit(self, name: str) -> str:
-        """The unit of a signal."""
+        """The unit of the signal ``name``."""
         return signal_unit(self.study, name)
 
 

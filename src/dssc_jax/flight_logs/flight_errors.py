@@ -57,7 +57,7 @@ def measured_samples(study: Study, times: np.ndarray) -> np.ndarray:
 
 
 def largest_error(errors: np.ndarray) -> np.ndarray:
-    """The largest absolute error along the last axis; infinite if a draw has ended, and so has errors that are NaN."""
+    """The largest absolute error along the last axis; infinite where errors are NaN, because a draw has ended."""
     return np.nan_to_num(np.abs(errors), nan=np.inf).max(axis=-1)
 
 

@@ -149,7 +149,7 @@ class NextFlight(Analysis):
         return [name for name in names if f"{name}_of_draw" in self.dataset and name != "departure"]
 
     def limit(self, name: str) -> float | None:
-        """The limit of a number of the flights that the next one keeps; None: too few flights, or it is infinite."""
+        """The limit that the next flight keeps for the number ``name``; None: too few flights, or it is infinite."""
         if self.rank is None:
             return None
         limit = float(np.sort(self.dataset[name].values)[self.rank - 1])
@@ -292,7 +292,11 @@ def require_comparable(study: Study, logs: Sequence[FlightLog], probability: flo
 
 
 def short_log(study: Study, logs: Sequence[FlightLog]) -> FlightLog | None:
-    """The shortest log, if it ends far before the study or the longest log; no flight is compared beyond it."""
+    """The shortest log, if it ends clearly before the study and the longest log; no flight is compared beyond its end.
+
+    Returns:
+        None if the shortest log covers the share ``SHORT`` of the study or of the longest log.
+    """
     lengths = [log.end - log.start for log in logs]
     duration = study.loop.sample_time * study.loop.steps
     shortest = min(lengths)

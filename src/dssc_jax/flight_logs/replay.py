@@ -133,7 +133,7 @@ class LogReplay(NamedTuple):
     dropped: dict[str, int]
 
     def differences(self, sample_time: float) -> dict[str, ReplayedCommand]:
-        """The differences of the replayed commands from the logged ones, by signal."""
+        """The differences of the replayed commands from the logged ones, by signal; ``sample_time`` is in s."""
         times = sample_time * np.arange(self.samples)
         differences = {}
         for name, command in self.commands.items():
@@ -145,11 +145,11 @@ class LogReplay(NamedTuple):
 
     @property
     def warnings(self) -> tuple[SignalWarning, ...]:
-        """The hints as warnings."""
+        """The hints as warnings, causes before effects."""
         return causes_first(signal_warnings(self.hints.all()))
 
     def summary(self, study: Study) -> dict[str, object]:
-        """For JSON."""
+        """The replay, the differences and the warnings as plain data for JSON."""
         differences = self.differences(study.loop.sample_time)
         return {
             "replay": {
@@ -288,7 +288,13 @@ def curves_of_draws(study: Study, samples: int, stride: int = 1) -> Iterator[Dra
 
 
 def recorded_lane(study: Study, samples: int, stride: int) -> Callable[[dict[str, Scalar], jax.Array], DrawCurves]:
-    """The program of a draw: (numbers by name, draw index) -> the curves of each channel."""
+    """The program of a draw: (numbers by name, draw index) -> the curves of each channel.
+
+    Args:
+        study: The study.
+        samples: Number of samples of the simulation.
+        stride: Of the samples, every ``stride``-th is kept.
+    """
     loop = replace(study.loop, settled=None)
 
     def lane(values: dict[str, Scalar], index: jax.Array) -> DrawCurves:

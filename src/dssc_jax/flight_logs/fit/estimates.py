@@ -46,7 +46,7 @@ class ResidualNoise(NamedTuple):
         return cls(posterior.white, likeliest.share, correlation_time(likeliest), explained)
 
     def summary(self) -> dict[str, float]:
-        """For JSON."""
+        """The noise as plain data for JSON; sizes are in the output's unit, times in s."""
         return {
             "rms": self.explained.residual,
             "noise": self.explained.noise,
@@ -220,7 +220,7 @@ class Fitted:
         return toml_entries(table)
 
     def summary(self) -> dict[str, Json]:
-        """For JSON."""
+        """The estimates, their laws and the warnings as plain data for JSON."""
         numbers = {}
         for name, value, ends in zip(self.names, self.estimates, self.interval(), strict=True):
             law = self.law(name)

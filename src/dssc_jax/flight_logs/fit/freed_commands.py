@@ -129,7 +129,7 @@ class FreeProblem:
         return commands
 
     def columns(self, x: np.ndarray, changes: np.ndarray) -> np.ndarray:
-        """The residual of all readings and its slopes by the numbers, divided by the noise, shape (n, 1 + p)."""
+        """The residual of all readings and the prediction's slopes by the numbers, over the noise, shape (n, 1 + p)."""
         columns = self.problem.columns(x, self.commands(changes))
         return np.vstack([part / noise for part, noise in zip(columns, self.noises, strict=True)])
 

@@ -98,7 +98,13 @@ class Readings(NamedTuple):
 
 
 class NormalEquations(NamedTuple):
-    """The normal equations at a point: r' S^-1 r, J' S^-1 r of shape (p,), and J' S^-1 J of shape (p, p)."""
+    """The normal equations at a point, including the laws of the numbers that keep them.
+
+    Args:
+        cost: Weighted sum of squares r' S^-1 r.
+        gradient: Descent direction J' S^-1 r, shape (p,).
+        information: Information matrix J' S^-1 J, shape (p, p).
+    """
 
     cost: float
     gradient: np.ndarray
@@ -147,16 +153,16 @@ class FitProblem:
         self.variances = [max(float(np.var(readings.values)), readings.floor) for readings in self.readings]
 
     def scaled(self, x: np.ndarray) -> np.ndarray:
-        """The numbers on the scale of the fit, at coordinates."""
+        """The numbers on the scale of the fit at coordinates x, shape (p,)."""
         return self.medians + x * self.widths
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """The numbers at coordinates."""
+        """The values of the numbers at coordinates x, shape (p,)."""
         pairs = zip(self.laws, self.scaled(x), strict=True)
         return np.array([float(from_fit_scale(law, scaled)) for law, scaled in pairs])
 
     def named_values(self, x: np.ndarray) -> dict[str, float]:
-        """The numbers at coordinates, by name."""
+        """The values of the numbers at coordinates x, by name."""
         return dict(zip(self.names, self.values(x).tolist(), strict=True))
 
     def is_admissible(self, values: np.ndarray) -> bool:
@@ -168,17 +174,17 @@ class FitProblem:
         return not self.study.violations(medians | dict(zip(self.names, values.tolist(), strict=True)))
 
     def beyond_laws(self, x: np.ndarray) -> np.ndarray:
-        """How far each number is outside of its law at coordinates, in standard deviations of the law; 0 inside."""
+        """How far each number at coordinates x is outside of its law, in standard deviations of the law; 0 inside."""
         return np.maximum(0.0, np.maximum(self.lowest - x, x - self.highest))
 
     def is_far_outside(self, x: np.ndarray) -> bool:
-        """Whether a number is far outside of its law at coordinates."""
+        """Whether any number at coordinates x is far outside of its law."""
         return bool(np.any(self.beyond_laws(x) > FAR_OUTSIDE))
 
     def columns(
         self, x: np.ndarray, commands: np.ndarray | None = None, forces: np.ndarray | None = None
     ) -> list[np.ndarray]:
-        """Residual r and slopes J at coordinates, for each channel with readings, shape (n, 1 + p).
+        """Residual r, and slopes J of the prediction, of each channel with readings, as columns, shape (n, 1 + p).
 
         Args:
             x: The coordinates, shape (p,).
@@ -196,7 +202,12 @@ class FitProblem:
         return columns
 
     def normal_equations(self, x: np.ndarray, commands: np.ndarray | None = None) -> NormalEquations:
-        """The normal equations at coordinates; infinite cost where the simulated output diverges."""
+        """The normal equations at coordinates, after one simulation; the cost is infinite if the output diverges.
+
+        Args:
+            x: The coordinates, shape (p,).
+            commands: Commands in place of those of the log, shape (channels, samples); None: those of the log.
+        """
         self.count.add()
         count = len(self.names)
         products = np.zeros((1 + count, 1 + count))
@@ -227,7 +238,7 @@ class FitProblem:
         return replace(self, kept=frozenset(names))
 
     def noise_searches(self, x: np.ndarray) -> list[NoiseSearch]:
-        """The search for the noise of each channel's residual at coordinates."""
+        """The search for the noise of each channel's residual at coordinates x."""
         simulated = self.disturbances.simulate(self.study, self.names, self.values(x), self.log.commands)
         return [self.noise_search(row, columns, simulated) for row, columns in enumerate(self.columns(x))]
 
@@ -266,7 +277,7 @@ class FitProblem:
                 self.noises[row], self.variances[row] = declared
 
     def reweight(self, x: np.ndarray) -> None:
-        """Replace the noises by the likeliest ones of the residual at coordinates."""
+        """Replace the noises by the likeliest ones for the residual at coordinates x."""
         for row, search in enumerate(self.noise_searches(x)):
             self.noises[row], noise_fit = search.likeliest()
             self.variances[row] = noise_fit.variance

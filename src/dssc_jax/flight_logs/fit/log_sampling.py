@@ -36,8 +36,8 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     A command that was not logged is that of the analysed controller for the logged outputs.
 
     Raises:
-        ConfigError: The log has too few outputs, or a value beyond all units, or neither a command nor what its replay
-            needs.
+        ConfigError: The log has too few outputs, or a value beyond all units; or it lacks a command, and also a signal
+            that the analysed controller needs.
     """
     loop = study.loop
     samples = max(samples_within(log, loop.sample_time, loop.steps), 1)
@@ -78,7 +78,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
 
 
 class LogSampling:
-    """The outputs and commands of a log at a study's samples, channel by channel; fields as of :class:`SampledLog`.
+    """Collects a log's outputs and commands at a study's samples; its fields are those of :class:`SampledLog`.
 
     Args:
         study: The study.

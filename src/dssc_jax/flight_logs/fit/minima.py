@@ -32,7 +32,13 @@ LEAST_GAIN = 0.1  # least decrease of the weighted sum of squares by which anoth
 
 
 class Minimum(NamedTuple):
-    """The end of a search: its coordinates, the normal equations there, and the number of starts that end there."""
+    """The end of a search.
+
+    Args:
+        x: Coordinates of the end, shape (p,).
+        equations: The normal equations at the end.
+        starts: Number of starts of the search that end there.
+    """
 
     x: np.ndarray
     equations: NormalEquations
@@ -132,7 +138,12 @@ def distinct_minima(problem: FitProblem, ends: Sequence[Minimum]) -> list[Minimu
 
 
 def unseen_minima(starts: int, minima: int) -> float:
-    """Expected number of minima that no start has led to, by Boender and Rinnooy Kan's rule."""
+    """Expected number of minima that no start has led to, by Boender and Rinnooy Kan's rule.
+
+    Args:
+        starts: Number of starts.
+        minima: Number of distinct minima that they have led to.
+    """
     if starts <= minima + 2:
         return math.inf
     return minima * (starts - 1) / (starts - minima - 2) - minima

@@ -84,12 +84,12 @@ class Part(NamedTuple):
 
 
 def quadratic_drag(speed: np.ndarray) -> np.ndarray:
-    """The course of a force that grows with the square of the speed, and acts against it; shape (n,)."""
+    """Drag of the size 1: a force that grows with the square of the speed, and acts against it; shape (n,)."""
     return -speed * np.abs(speed)
 
 
 def friction(speed: np.ndarray) -> np.ndarray:
-    """The course of a force of constant size against the speed, which passes through 0 at rest; shape (n,)."""
+    """Friction of the size 1: a constant force against the speed, which passes through 0 at rest; shape (n,)."""
     return -speed / np.hypot(speed, REST * float(np.abs(speed).max()) + TINY)
 
 
@@ -109,7 +109,7 @@ def constant_forces(flight: Flight, size: float) -> np.ndarray:
 
 
 def behind(model: Unmodelled) -> Callable[[Flight, float], np.ndarray]:
-    """(Flight, size) -> means over each sample of the output of an actuator, whose first parameter is the size."""
+    """The commands behind an actuator whose first parameter is the size: (flight, size) -> means over each sample."""
     return lambda flight, size: actuated_commands(model, model.params(size), flight.commands, flight.sample_time)
 
 
@@ -241,9 +241,9 @@ def actuator_part(
     """A part of an actuator of the package, whose first parameter is its positive size.
 
     Args:
-        code: As of :class:`Part`, like ``words``, ``sizes`` and ``is_possible``.
-        words: What it is.
-        noun: Its name in the remedy.
+        code: Code of the part's warning; see :class:`Part` for this and the other fields.
+        words: What the part is.
+        noun: Name of the part in the remedy.
         model: The actuator.
         sizes: First sizes.
         is_possible: Whether a size means something.

@@ -101,6 +101,6 @@ def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[SignalWarning, .
 
 
 def list_text(changes: list[Outlier], unit: str) -> str:
-    """Sizes and times of the first outliers, and the number of the others."""
+    """Sizes and times of the first outliers, and the number of the others, in words."""
     further = f" and at {len(changes) - NAMED} more times" if len(changes) > NAMED else ""
     return ", ".join(outlier.text(unit) for outlier in changes[:NAMED]) + further

@@ -134,13 +134,13 @@ class PartProblem:
         return in_range and (not self.part.is_positive or self.part.is_possible(self.flight, size))
 
     def columns(self, point: PartPoint) -> np.ndarray:
-        """Residual and slopes at a point, of the numbers and of the scaled size, shape (n, 2 + p)."""
+        """The residual at a point, and the prediction's slopes by numbers and scaled size, as columns, (n, 2 + p)."""
         columns = self.residual_columns(point)
         moved = self.residual_columns(point._replace(scaled=point.scaled + DIFFERENCE))
         return np.column_stack([columns, (columns[:, 0] - moved[:, 0]) / DIFFERENCE])
 
     def residual_columns(self, point: PartPoint) -> np.ndarray:
-        """Residual and slopes by the numbers at a point, shape (n, 1 + p)."""
+        """The residual at a point, and the prediction's slopes by the numbers, as columns, shape (n, 1 + p)."""
         problem = copy(self.problem)
         problem.predict = self.prediction(point)
         (columns,) = problem.columns(point.x, self.commands(point), self.forces(point))

@@ -147,7 +147,7 @@ def driving_forces(study: Study, numbers: Mapping[str, float], commands: np.ndar
         advance = held_between_samples(loop, params)
 
         def sample(state: LoopState, k: jax.Array) -> tuple[LoopState, Scalar]:
-            """One sample: the state after it, and the force there."""
+            """Advance by sample k; return the state after it, and the force at its end."""
             after, _ = step(loop, params, key, state, k, advance)
             (channel,) = after.channels
             t = (k + 1) * loop.sample_time
@@ -199,7 +199,7 @@ def simulated_outputs(
         advance = held_between_samples(loop, params)
 
         def sample(carry: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], tuple[Scalar, ...]]:
-            """One sample: the state after it with the next sample's number, and each channel's reading."""
+            """Advance by one sample; return the next state and sample number, and each channel's reading."""
             state, k = carry
             next_state, recorded = step(loop, params, key, state, k, advance)
             readings = []

@@ -23,7 +23,11 @@ class Refit(NamedTuple):
         return math.sqrt(squares.residual) if squares is not None else math.inf
 
     def squares(self, channels: list[int]) -> "Squares | None":
-        """The mean squares of channels together; None if one has too few readings, or the simulation diverges."""
+        """Mean squares of the residuals, and variances of the outputs, each summed over some channels.
+
+        Returns:
+            None if one of the channels has too few readings, or the simulation diverges.
+        """
         residual_square = 0.0
         output_square = 0.0
         found = 0

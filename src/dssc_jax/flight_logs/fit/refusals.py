@@ -93,7 +93,7 @@ class Explained(NamedTuple):
         return self.unexplained_by(self.residual)
 
     def unexplained_by(self, residual: float) -> float:
-        """The same share for a residual of another size, such as that of a fit with a part that the study lacks."""
+        """Share of the output's variance that a residual of another size leaves unexplained, as of another fit."""
         return max(residual**2 - self.noise**2, 0.0) / max(self.output**2, TINY)
 
     @property
@@ -290,7 +290,7 @@ def refusal_text(problem: FitProblem, x: np.ndarray, place: int, result: Explain
 
 
 def direction_text(names: Sequence[str], direction: np.ndarray) -> str:
-    """Describe a direction in the space of the numbers in words."""
+    """Describe a direction in the space of the numbers in words, such as ``+0.80 a -0.60 b``."""
     direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
     terms = [(name, float(x)) for name, x in zip(names, direction, strict=True) if abs(x) >= SMALL_COEFFICIENT]
     if len(terms) == 1:
@@ -337,7 +337,10 @@ class UnidentifiedDirection(NamedTuple):
 
 
 def unidentified_direction(information: np.ndarray) -> UnidentifiedDirection | None:
-    """The direction of least information, if its standard deviation is not below that of the laws."""
+    """The direction of least information, if its standard deviation is not below that of the laws; else None.
+
+    Singularity is judged with the numbers scaled to the information 1 each, so that their units do not matter.
+    """
     root = np.sqrt(np.diag(information))
     values, vectors = np.linalg.eigh(information / np.outer(root, root))
     if values[0] < SINGULAR_INFORMATION:
@@ -376,5 +379,5 @@ def require_unique_minimum(problem: FitProblem, search: MinimumSearch, informati
 
 
 def assignments_text(values: Mapping[str, float]) -> str:
-    """Values of numbers in words."""
+    """Values of numbers by name, in words."""
     return ", ".join(f"{name} = {value:.4g}" for name, value in values.items())

@@ -30,6 +30,7 @@ def roughness(problem: FitProblem, minimum: Minimum) -> float:
         x = minimum.x + directions @ move
         if problem.is_admissible(problem.values(x)):
             cost = problem.normal_equations(x).cost
+            # On the parabola, the cost would rise by the last term.
             deviations.append(cost - minimum.cost - values @ move**2)
     finite_deviations = np.array([deviation for deviation in deviations if math.isfinite(deviation)])
     return float(np.sqrt(np.mean(finite_deviations**2))) if finite_deviations.size else 0.0
@@ -41,7 +42,7 @@ def widening(rough: float) -> float:
 
 
 def roughness_doubts(rough: float) -> tuple[SignalWarning, ...]:
-    """The doubt about a sum of squares that is no parabola."""
+    """The doubt about a sum of squares that is no parabola; none if its roughness is no larger than its noise."""
     if widening(rough) == 1.0:
         return ()
     text = (

@@ -11,7 +11,12 @@ from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 
 class Reconstruction(NamedTuple):
-    """Commands at all samples, shape (channels, samples), and what they do between two logged values, in words."""
+    """A possible course of the commands between their logged values.
+
+    Args:
+        text: What the commands do between two logged values, in words.
+        commands: The commands at all samples, shape (channels, samples).
+    """
 
     text: str
     commands: np.ndarray

@@ -31,8 +31,8 @@ class Shifts(Protocol):
 
     Args:
         problem: The problem without a shift.
-        noises: Noise of each channel's residual, for all shifts.
-        variances: Variance of that noise.
+        noises: Noise of each channel's residual, which all shifts share.
+        variances: Variance of the noise of each channel.
     """
 
     problem: FitProblem
@@ -237,7 +237,7 @@ def linear_cost(products: np.ndarray) -> float:
     """The least weighted sum of squares that a linearised prediction allows.
 
     Args:
-        products: Weighted products of the residual and its slopes, shape (1 + p, 1 + p).
+        products: Weighted products of the residual and the prediction's slopes, shape (1 + p, 1 + p).
     """
     step = np.linalg.lstsq(products[1:, 1:], products[1:, 0], rcond=None)[0]
     return float(products[0, 0] - products[1:, 0] @ step)

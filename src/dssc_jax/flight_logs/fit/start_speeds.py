@@ -26,11 +26,11 @@ LARGE_PART = 0.5  # share of the residual that may be left if another start expl
 
 
 class FittedStart(NamedTuple):
-    """The start of a flight by its output.
+    """The start of a flight, estimated from its output.
 
     Args:
-        place: The first output, in its unit.
-        speed: Its first derivative, in that unit per second.
+        place: The output at the start, in its unit.
+        speed: The derivative of the output at the start, in that unit per second.
         deviation: Standard deviation of the speed.
         p_value: Probability of as large a gain of the likelihood if the study's start were right.
         residual: Root mean square of the residual with this start.

@@ -36,7 +36,7 @@ SLOTS = ("disturbance.", "wind.")
 
 
 def share_after(begin: float, flight: Flight) -> np.ndarray:
-    """Share of each sample after a moment, which may lie within one; shape (n,).
+    """The share of each sample that lies after a moment, between 0 and 1; shape (n,).
 
     Args:
         begin: Samples from the first one to the moment.
@@ -46,7 +46,7 @@ def share_after(begin: float, flight: Flight) -> np.ndarray:
 
 
 def weakened(flight: Flight, size: float) -> np.ndarray:
-    """Commands whose gain is 1 - size."""
+    """The commands, multiplied by a gain of 1 - size, shape (n,)."""
     return (1.0 - size) * flight.commands
 
 
@@ -156,7 +156,7 @@ def refined(
 
 
 class BeginCorrection(NamedTuple):
-    """The step of Gauss and Newton to a likelier time, and the standard deviation of that time, both in samples."""
+    """The Gauss-Newton step to the likeliest time, and the standard deviation of that time, both in samples."""
 
     step: float
     deviation: float
@@ -242,12 +242,12 @@ def told_part(part: Part, sample_time: float, begin: float, deviation: float) ->
 
 
 def likeliest_begin(problem: FitProblem, x: np.ndarray, flight: Flight, sudden: Part, begins: np.ndarray) -> int:
-    """The sample from which on a part leaves the least sum of squares; arguments as of :func:`costs_by_begin`."""
+    """The sample from which on a part leaves the least sum of squares; the arguments are of :func:`costs_by_begin`."""
     return int(begins[int(np.argmin(costs_by_begin(problem, x, flight, sudden, begins)))])
 
 
 def costs_by_begin(problem: FitProblem, x: np.ndarray, flight: Flight, sudden: Part, begins: np.ndarray) -> np.ndarray:
-    """The least weighted sums of squares with a part from some moments on, if the prediction is linear, shape (k,).
+    """The least weighted sum of squares with a part from each of k moments on, to first order, shape (k,).
 
     Args:
         problem: The problem of one channel, with a noise.

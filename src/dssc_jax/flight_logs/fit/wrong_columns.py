@@ -46,14 +46,14 @@ class OtherColumns(NamedTuple):
 
 
 class ReplayedChannels:
-    """The analysed controllers with the logged signals of their channels.
+    """The analysed controllers, replayed with the logged signals of their channels and with other columns.
 
     Args:
         problem: The least-squares problem of the log.
     """
 
     def __init__(self, problem: FitProblem) -> None:
-        """Make the controllers; nothing is replayed yet."""
+        """Prepare the controllers; nothing is replayed yet."""
         self.log = problem.log
         references = study_references(problem.study, problem.log.outputs.shape[1])
         self.replays = [ChannelReplay(problem.study, *row) for row in enumerate(references)]

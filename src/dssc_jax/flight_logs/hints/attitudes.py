@@ -81,7 +81,7 @@ def value_near(column: Column | None, time: float) -> float:
 
 
 def logged_motion(log: FlightLog) -> FirstMotion:
-    """The attitude and body rate with which a log begins."""
+    """The attitude and body rate at the time of the log at which the study begins."""
     columns = attitude_columns(log)
     angles_and_rates = []
     for names in (ANGLES, RATES):

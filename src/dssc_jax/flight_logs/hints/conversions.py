@@ -120,7 +120,7 @@ def conversion_text(
 
 
 def multiple_of(logged: np.ndarray, expected: np.ndarray) -> float:
-    """The factor by which a logged signal is the expected one at all times; 1 if it is another signal, or the same.
+    """The factor by which a logged signal is a multiple of the expected one; 1 if it is the same, or another signal.
 
     Args:
         logged: Values, NaN where missing, shape (samples,).
@@ -252,7 +252,7 @@ def delayed_pairs(logged: np.ndarray, expected: np.ndarray) -> list[tuple[np.nda
 
 
 def line_through(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The values a + b x that are nearest to y in the mean square, shape (n,); y may lack some, which are NaN."""
+    """The values a + b x of the line nearest to y in the mean square, shape (n,); x and y may have NaN."""
     is_finite = np.isfinite(x) & np.isfinite(y)
     if not is_finite.any():
         return np.full(len(y), np.nan)
@@ -337,7 +337,7 @@ def is_same_reference(logged: np.ndarray, reference: np.ndarray) -> bool:
 
 
 def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
-    """The samples by which a logged reference is later than the study's; 0: it is the same, or no shift of it.
+    """The number of samples by which a logged reference is later than the study's; 0: it is the same, or no shift.
 
     Of several shifts the smallest counts, and none above half of the reference's period.
     """

@@ -158,7 +158,7 @@ def is_opposite(y: Column, y_dot: Column, factor: Factor | None, begin: float, e
 
 
 def likeness_to_integral(output: Column, rate: Column) -> float:
-    """The correlation of an output with the integral of a rate, both without a straight line; 0 if one is 0."""
+    """The correlation of an output with the integral of a rate, both less their straight lines; 0 if one is 0."""
     sizes = float(np.abs(output.value).max()), float(np.abs(rate.value).max())
     if min(sizes) == 0.0:
         return 0.0
@@ -173,7 +173,7 @@ def likeness_to_integral(output: Column, rate: Column) -> float:
 
 
 def values_between(column: Column, begin: float, end: float) -> Column:
-    """Select the values between two times; of several at one time, the first."""
+    """Select the values between two times [s]; of several values at the same time, the first one."""
     selected_rows = np.flatnonzero((column.time >= begin) & (column.time <= end))
     rows = selected_rows[np.diff(column.time[selected_rows], prepend=-np.inf) > 0.0]
     return Column(column.time[rows], column.value[rows])
@@ -356,7 +356,7 @@ def declares_rate_bias(study: Study) -> bool:
 
 
 def add_factor_hint(hints: LogHints, factor: Factor, y_name: str, rate_name: str, unit: str) -> None:
-    """Say what the factor between an output and the integral of its derivative means: a unit, sign, scale or clock."""
+    """Add the hint about a factor of an output over the integral of its derivative: a unit, sign, scale or clock."""
     changes_less = abs(factor.value) < 1.0  # the output changes less than the integral
     multiple = unit_text(factor.value, unit)
     inverse = unit_text(1.0 / factor.value, unit)

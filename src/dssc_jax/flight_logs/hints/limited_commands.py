@@ -35,7 +35,7 @@ class Limits(NamedTuple):
 
 
 def repeated_limits(logged: np.ndarray, replayed: np.ndarray) -> Limits:
-    """The extreme values that a logged command repeats where the analysed controller's is beyond them.
+    """The extreme values that a logged command repeats while the analysed controller's command is beyond them.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).

@@ -1,4 +1,4 @@
-"""All hints about a log, by what they concern, gathered one after another."""
+"""The collection of all hints about a log, grouped by what they concern."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -83,7 +83,7 @@ class AveragedDifference:
         return np.full(len(self.logged["u_total"]), np.nan) if isinstance(command, str) else command
 
     def averaged(self, values: np.ndarray) -> np.ndarray:
-        """The means of values over the windows that have any, without the mean of all, shape (windows,)."""
+        """Means of values over the windows with a logged command, less the mean of these means, shape (windows,)."""
         difference = np.where(np.isfinite(self.logged["u_total"]), values, np.nan)
         parts = difference[: len(difference) // self.width * self.width].reshape(-1, self.width)
         means = parts[np.isfinite(parts).any(axis=1)]

@@ -45,7 +45,7 @@ class ComparedReferences(NamedTuple):
 
 
 def median_values(study: Study) -> dict[str, float]:
-    """The median of every law of the study."""
+    """The median of every law of the study, by name of the number."""
     return {name: float(law.median) for name, law in study.laws.items()}
 
 

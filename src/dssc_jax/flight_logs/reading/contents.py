@@ -128,7 +128,7 @@ class LogContents:
         return gaps_of(self.clocks)
 
     def summary(self) -> dict[str, object]:
-        """The contents as plain data."""
+        """The contents as plain data for JSON."""
         topics = [topic._asdict() | {"rate": topic.rate} for topic in self.topics]
         segments = [segment._asdict() for segment in self.segments]
         fields = [field._asdict() for field in self.fields]

@@ -22,8 +22,8 @@ def placeholder(values: np.ndarray, is_output: bool) -> tuple[float, int] | None
 
     The number is the lowest or the highest value, and far from all others. A customary number of :data:`CUSTOMARY`
     counts even if it occurs once. Any other number counts only in an output, which does not jump, and only if it comes
-    and goes repeatedly. A value to which an output drops again and again counts as well, even among the others. Commands
-    and references may jump to a value and back, so that only customary numbers count there.
+    and goes repeatedly. A value to which an output drops again and again counts as well, wherever it lies. Commands and
+    references may jump to a value and back, so that only customary numbers count there.
 
     Args:
         values: The column's values, in any unit, NaN where missing, shape (rows,).

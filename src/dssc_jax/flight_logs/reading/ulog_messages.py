@@ -44,7 +44,7 @@ PADDING = "_padding"
 
 
 class BodySizes(NamedTuple):
-    """The sizes that the messages of a topic may have [bytes], with the topic's number."""
+    """The sizes that the messages of a topic may have [bytes], including the two bytes of the topic's number."""
 
     smallest: int  # without the padding at the end
     largest: int

@@ -282,7 +282,7 @@ class Scan:
             place += searched_bytes
 
     def _has_sound_chain(self, file: BinaryIO, place: int) -> bool:
-        """Whether several sound messages follow one another from a place, or the last ones of the log."""
+        """Whether several sound messages follow one another from a place on; fewer suffice at the end of the log."""
         file.seek(place)
         sound_count = 0
         for count in range(CHAIN_READ):
@@ -337,7 +337,7 @@ class UndamagedBytes:
         self._position = 0
 
     def read(self, size: int = -1) -> bytes:
-        """The bytes that follow, at most ``size``."""
+        """Read the next remaining bytes, at most ``size``; all of them if ``size`` is negative."""
         end = self._starts[-1] if size < 0 else min(self._position + size, self._starts[-1])
         chunks = []
         while self._position < end:
