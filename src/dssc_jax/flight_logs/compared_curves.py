@@ -106,6 +106,10 @@ def output_hints(study: Study, dataset: xr.Dataset) -> dict[str, Hint]:
     """Hints about logged outputs that look like the draws' median in another unit, sign or channel, by signal.
 
     An output gets a hint only if it is beyond all draws at most of the times at which the draws' median is large.
+
+    Args:
+        study: The study.
+        dataset: The dataset of the comparison, by :func:`compared_dataset`.
     """
     logged = {str(name) for name in dataset["signal"].values}
     names = [signal_name(channel, "y") for channel in study.loop.channels]

@@ -279,7 +279,12 @@ class LogComparison(Analysis):
 
 
 def start_of_last_excursion(time: np.ndarray, is_outside: np.ndarray) -> float | None:
-    """Time from which on a signal is outside without interruption to its end [s]; None if it ends inside."""
+    """Time from which on a signal is outside without interruption to its end [s]; None if it ends inside.
+
+    Args:
+        time: Times of the signal's values [s], shape (n,).
+        is_outside: Whether each value is outside the range of the draws, shape (n,).
+    """
     if not is_outside.size or not is_outside[-1]:
         return None
     inside_rows = np.flatnonzero(~is_outside)

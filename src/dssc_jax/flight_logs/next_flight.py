@@ -277,6 +277,11 @@ def next_flight(
 def require_comparable(study: Study, logs: Sequence[FlightLog], probability: float) -> None:
     """Require different flights, enough independent draws, and a probability in (0, 1).
 
+    Args:
+        study: The study.
+        logs: The flights.
+        probability: Least probability that the next flight lies in the set.
+
     Raises:
         ConfigError: One of these requirements does not hold, or there is no flight.
     """

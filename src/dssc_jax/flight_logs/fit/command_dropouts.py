@@ -61,7 +61,12 @@ def possible_dropouts(command: np.ndarray) -> list[Dropout]:
 
 
 def without_spans(command: np.ndarray, spans: list[Dropout]) -> np.ndarray:
-    """A copy of the command with NaN in the spans, shape (samples,)."""
+    """A copy of the command with NaN in the spans, shape (samples,).
+
+    Args:
+        command: The command, shape (samples,).
+        spans: The spans.
+    """
     remaining = command.copy()
     for span in spans:
         remaining[span.begin : span.end] = np.nan
@@ -119,7 +124,12 @@ def refit_with_commands(problem: FitProblem, minimum: Minimum, commands: np.ndar
 
 
 def matters(logged: Refit, changed: Refit) -> bool:
-    """Whether changed commands lower the residual, and move an estimate far or explain a large part of the residual."""
+    """Whether changed commands lower the residual, and move an estimate far or explain a large part of the residual.
+
+    Args:
+        logged: The fit with the logged commands.
+        changed: The fit with the changed commands.
+    """
     ratios = []
     for readings in logged.problem.readings:
         ratios.append(changed.residual(readings.channel) / max(logged.residual(readings.channel), readings.floor**0.5))
@@ -140,7 +150,12 @@ def spans_text(spans: list[Dropout], sample_time: float) -> str:
 
 
 def fall_text(logged: Refit, changed: Refit) -> str:
-    """How far another fit lowers the residual of the channel that gains most, and which number it moves farthest."""
+    """How far another fit lowers the residual of the channel that gains most, and which number it moves farthest.
+
+    Args:
+        logged: The fit with the logged commands.
+        changed: The fit with the changed commands.
+    """
     problem = logged.problem
     channels = [readings.channel for readings in problem.readings]
     best = min(channels, key=lambda channel: changed.residual(channel) / logged.residual(channel))

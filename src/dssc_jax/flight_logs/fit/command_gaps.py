@@ -112,7 +112,12 @@ class ComparedCommands(NamedTuple):
 
 
 def compared_commands(problem: FitProblem, minimum: Minimum) -> list[ComparedCommands]:
-    """Take one Gauss-Newton step from a minimum with each alternative reconstruction of a log's commands."""
+    """Take one Gauss-Newton step from a minimum with each alternative reconstruction of a log's commands.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+    """
     comparisons = []
     for reconstruction in problem.log.alternatives:
         equations = problem.normal_equations(minimum.x, reconstruction.commands)
@@ -134,7 +139,13 @@ def allowed_difference(problem: FitProblem) -> float:
 def better_commands(
     problem: FitProblem, minimum: Minimum, comparisons: Sequence[ComparedCommands]
 ) -> Reconstruction | None:
-    """The reconstruction that describes the flight clearly better than that of the fit; None if there is none."""
+    """The reconstruction that describes the flight clearly better than that of the fit; None if there is none.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum with the present reconstruction.
+        comparisons: The other reconstructions, by :func:`compared_commands`.
+    """
     best = min(comparisons, key=lambda item: item.cost, default=None)
     if best is None or not best.cost < minimum.cost - allowed_difference(problem):
         return None
@@ -152,6 +163,11 @@ def command_moves(problem: FitProblem, minimum: Minimum, comparisons: Sequence[C
 
     The other courses are the reconstructions that describe the flight as well as that of the fit, and the deviations
     that commands estimated by the fit leave open.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+        comparisons: The other reconstructions, by :func:`compared_commands`.
     """
     highest_cost = minimum.cost + allowed_difference(problem)
     moves = [item.move for item in comparisons if item.cost <= highest_cost]

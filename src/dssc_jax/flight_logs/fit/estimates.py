@@ -261,6 +261,10 @@ def with_sign(quantity: Quantity, law: Law) -> Quantity:
     """The quantity, bounded by 0 if all values of a law have the same sign and the quantity has no bound on that side.
 
     A parameter whose inverse counts must not change its sign.
+
+    Args:
+        quantity: The quantity.
+        law: The law of the number in the study.
     """
     low, high = law.support
     if low > 0.0 and quantity.above is None and quantity.at_least is None:
@@ -271,7 +275,13 @@ def with_sign(quantity: Quantity, law: Law) -> Quantity:
 
 
 def truncation(quantity: Quantity, mean: float, std: float) -> tuple[float, float]:
-    """Ends of a truncated law: ``LAW_WIDTH`` deviations either side of the mean, within the quantity's range."""
+    """Ends of a truncated law: ``LAW_WIDTH`` deviations either side of the mean, within the quantity's range.
+
+    Args:
+        quantity: The quantity, with the bounds of its admissible range.
+        mean: Mean of the normal law before truncation.
+        std: Standard deviation of that law.
+    """
     low = mean - LAW_WIDTH * std
     high = mean + LAW_WIDTH * std
     if quantity.above is not None:

@@ -225,6 +225,11 @@ def none_identified(problem: FitProblem, best: Minimum, unidentified: Unidentifi
 def require_explained(problem: FitProblem, best: Minimum, results: list[Explained]) -> None:
     """Require that the residual is noise.
 
+    Args:
+        problem: The least-squares problem of the log.
+        best: The best minimum of the problem.
+        results: How well the study describes each channel at that minimum.
+
     Raises:
         Unexplained: The residual of a channel is more than noise; the message has the likely causes.
     """

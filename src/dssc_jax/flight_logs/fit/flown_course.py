@@ -71,6 +71,7 @@ def slope_half_width(noise: float, gap: float, error: float) -> int:
         error: The largest standard deviation of the slope.
     """
     ratio = min(noise / (gap * max(error, TINY)), 1e6)
+    # A sufficient h: 3/(h (h + 1) (2 h + 1)) is below 1.5/h^3.
     return max(1, math.ceil((1.5 * ratio**2) ** (1.0 / 3.0)))
 
 

@@ -78,7 +78,13 @@ def joint_doubts(problem: FitProblem, minimum: Minimum, result: Explained, told:
 
 
 def residual_alone(problem: FitProblem, minimum: Minimum, part: Part) -> float:
-    """The root mean square of the residual with one part alone, or without any part if this one explains nothing."""
+    """The root mean square of the residual with one part alone, or without any part if this one explains nothing.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum without the part.
+        part: The part.
+    """
     without = fit_without_part(problem, minimum, 1, (minimum.x, 0.0 * minimum.x))
     fit = fitted_part(problem, without, flown(problem, minimum), part)
     return Refit(problem, minimum).residual(0) if fit is None else fit.residual

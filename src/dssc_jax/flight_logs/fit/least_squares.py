@@ -299,6 +299,7 @@ def averaged_covariance(problem: FitProblem, posteriors: Sequence[NoisePosterior
         noise_fits = [candidate.fit for candidate in posterior.candidates]
         levels = np.cumsum([candidate.weight for candidate in posterior.candidates])
         candidate_indices = np.searchsorted(levels, (np.arange(NOISE_DRAWS) + 0.5) / NOISE_DRAWS * levels[-1])
+        # The draws have the candidates' shares; a random order makes the channels independent.
         candidate_indices = random.permutation(np.minimum(candidate_indices, len(levels) - 1))
         information += np.array([fit.information for fit in noise_fits])[candidate_indices]
         gradient += np.array([fit.gradient for fit in noise_fits])[candidate_indices]

@@ -91,7 +91,7 @@ def minimise(problem: FitProblem, x: np.ndarray, starts: int = 1, to_end: bool =
 def candidate_points(problem: FitProblem) -> np.ndarray:
     """Points at which the search may start, shape (m, p): the laws' medians, then quantiles at Sobol points."""
     levels = stats.qmc.Sobol(len(problem.names), rng=np.random.default_rng(0)).random(SCREENED)
-    levels[0] = 0.5
+    levels[0] = 0.5  # the medians
     scaled = [fit_scale(law, law.quantile(column)) for law, column in zip(problem.laws, levels.T, strict=True)]
     return (np.array(scaled).T - problem.medians) / problem.widths
 
@@ -116,6 +116,10 @@ def cost_with_laws(problem: FitProblem, minimum: Minimum) -> float:
 
     A log that determines unlikely numbers well keeps its minimum there, because its sum of squares is far larger
     elsewhere. Where a log hardly determines a number, a minimum inside the laws is the better one.
+
+    Args:
+        problem: The problem.
+        minimum: The minimum.
     """
     return minimum.cost + float(np.sum(problem.beyond_laws(minimum.x) ** 2))
 
@@ -161,6 +165,10 @@ def reweighted_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
     """Minimise from another minimum on, in turns with weighting by the likeliest noise of the residual.
 
     The noise of ``problem`` is replaced in place.
+
+    Args:
+        problem: The problem.
+        minimum: The minimum from whose coordinates the search goes on.
     """
     starts = minimum.starts
     minimum = minimise(problem, minimum.x, starts, to_end=True)
@@ -234,7 +242,12 @@ def searched_minima(problem: FitProblem) -> list[Minimum]:
 
 
 def find_minima(problem: FitProblem, starting_minima: Sequence[Minimum] = ()) -> MinimumSearch | None:
-    """Find the minima from several starts, or from given minima; None if the output diverges from every start."""
+    """Find the minima from several starts, or from given minima; None if the output diverges from every start.
+
+    Args:
+        problem: The problem, whose noises are replaced in place.
+        starting_minima: Minima to start from; empty: a search from many points.
+    """
     problem.weight_as_declared()
     ends = [minimise(problem, minimum.x, minimum.starts) for minimum in starting_minima] or searched_minima(problem)
     minima = distinct_minima(problem, ends)

@@ -149,6 +149,10 @@ def is_plausible(fit: PartFit, result: Explained) -> bool:
     """Whether a part may be what the study lacks.
 
     A part with many choices can imitate another cause, so it has to leave nothing but noise.
+
+    Args:
+        fit: The fit with the part.
+        result: How well the study describes the readings without the part.
     """
     return fit.part.choices == 1 or fit.residual <= MUCH_LARGER * result.limit
 
@@ -251,7 +255,14 @@ def remedy_of(causes: PartCauses) -> str:
 
 
 def largest_move(problem: FitProblem, minimum: Minimum, fit: PartFit, deviations: np.ndarray) -> float:
-    """The largest distance by which a part moves a fitted number, in the standard deviations of the coordinates."""
+    """The largest distance by which a part moves a fitted number, in the standard deviations of the coordinates.
+
+    Args:
+        problem: The problem.
+        minimum: The minimum without the part.
+        fit: The fit with the part.
+        deviations: Standard deviations of the fitted coordinates, shape (f,).
+    """
     return float(np.max(np.abs(fit.x - minimum.x)[problem.fitted] / deviations))
 
 

@@ -128,7 +128,10 @@ class PartProblem:
         return point.scale * (math.exp(point.scaled) if self.part.is_positive else point.scaled)
 
     def is_possible(self, point: PartPoint) -> bool:
-        """Whether the numbers at a point are in their ranges, and the size of the part means something."""
+        """Whether the numbers at a point are in their ranges, and a size that has to be positive means something.
+
+        Sizes of either sign are judged after the fit alone.
+        """
         size = self.size(point)
         in_range = self.problem.is_admissible(self.problem.values(point.x))
         return in_range and (not self.part.is_positive or self.part.is_possible(self.flight, size))
@@ -242,7 +245,13 @@ class PartProblem:
         return point
 
     def cost(self, point: PartPoint, noise: Noise, variance: float) -> float:
-        """Weighted sum of squares at a point, with those of the numbers that keep their laws."""
+        """Weighted sum of squares at a point, with those of the numbers that keep their laws.
+
+        Args:
+            point: The point.
+            noise: Noise by which the residual is weighted.
+            variance: Variance of the noise.
+        """
         products = self.products(noise, self.residual_columns(point)[:, :1])
         return float(products[0, 0]) / variance + float(self.problem.prior @ point.x**2)
 

@@ -22,6 +22,11 @@ def require_plausible(problem: FitProblem, x: np.ndarray, results: list[Explaine
     A controller that holds a place gives commands against a gust. The vehicle hardly moves, so that the best gain of
     the commands is 0.
 
+    Args:
+        problem: The problem.
+        x: Coordinates of the minimum, shape (p,).
+        results: How well the study describes each channel there.
+
     Raises:
         NotIdentifiable: A number is; the message names the one that is farthest outside.
     """
@@ -43,6 +48,11 @@ def require_possible(problem: FitProblem, x: np.ndarray, results: list[Explained
     A number also counts as such if it is several times as large or as small as all values of its law, and one of two
     conditions holds. Either the factor of a known unit brings it into the law; or the residual is doubtful and leaves
     more unexplained than a fit accepts, although not with the confidence that a refusal for the residual needs.
+
+    Args:
+        problem: The problem.
+        x: Coordinates of the minimum, shape (p,).
+        results: How well the study describes each channel there.
 
     Raises:
         Unexplained: A number is; the message has the value, and the factor of a unit that would bring it into the law.

@@ -65,7 +65,13 @@ def with_log(problem: FitProblem, log: SampledLog) -> FitProblem:
 
 
 def refit(problem: FitProblem, minimum: Minimum, log: SampledLog) -> Refit:
-    """Fit another log with white noise, from a minimum and from the medians of the laws; the better end counts."""
+    """Fit another log with white noise, from a minimum and from the medians of the laws; the better end counts.
+
+    Args:
+        problem: The problem with the present log.
+        minimum: The minimum from which the fit of the other log starts.
+        log: The other log.
+    """
     refitted = with_log(problem, log)
     starts = (minimum.x, np.zeros_like(minimum.x))
     return Refit(refitted, min((minimise(refitted, x) for x in starts), key=lambda end: end.cost))

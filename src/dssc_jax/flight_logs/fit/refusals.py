@@ -113,6 +113,10 @@ def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
 
     White noise of variance 1 has the variance 1 + a^2 + b^2 about a line with the weights a and b of the neighbours;
     each square is divided by that. A curved series enlarges the result.
+
+    Args:
+        times: Times of the readings [s], shape (n,).
+        values: The series at these times, shape (n,).
     """
     gaps = np.diff(times)
     weight = gaps[1:] / (gaps[:-1] + gaps[1:])
@@ -236,7 +240,13 @@ def largest_text(times: np.ndarray, residual: np.ndarray) -> str:
 
 
 def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
-    """The doubts about readings that are far noisier than the study's sensor, by channel, with the remedy."""
+    """The doubts about readings that are far noisier than the study's sensor, by channel, with the remedy.
+
+    Args:
+        problem: The least-squares problem of the log.
+        x: Coordinates of the numbers, shape (p,).
+        results: How well each channel is described there.
+    """
     reasons = []
     for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
         sensor = math.sqrt(readings.sensor)
@@ -290,7 +300,12 @@ def refusal_text(problem: FitProblem, x: np.ndarray, place: int, result: Explain
 
 
 def direction_text(names: Sequence[str], direction: np.ndarray) -> str:
-    """Describe a direction in the space of the numbers in words, such as ``+0.80 a -0.60 b``."""
+    """Describe a direction in the space of the numbers in words, such as ``+0.80 a -0.60 b``.
+
+    Args:
+        names: Names of the p numbers.
+        direction: Components of the direction along their coordinates, shape (p,).
+    """
     direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
     terms = [(name, float(x)) for name, x in zip(names, direction, strict=True) if abs(x) >= SMALL_COEFFICIENT]
     if len(terms) == 1:

@@ -19,6 +19,11 @@ def leaves_most(problem: FitProblem, delay: Delay, results: Sequence[Explained])
     """Whether a fit is refused, and a delay leaves most of each residual: such a delay is not named as a cause.
 
     Gusts that the study declares may make most of the residual, whatever the delay.
+
+    Args:
+        problem: The problem.
+        delay: The delay.
+        results: How well the study describes each channel without the delay.
     """
     is_refused = any(result.least_unexplained > MOST_UNEXPLAINED for result in results)
     pairs = zip(delay.unshifted, delay.shifted, strict=True)

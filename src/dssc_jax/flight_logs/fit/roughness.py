@@ -21,7 +21,12 @@ SMOOTH = 1.0  # roughness that is as large as the noise of a weighted sum of squ
 
 
 def roughness(problem: FitProblem, minimum: Minimum) -> float:
-    """Root mean square of the deviations from the parabola around a minimum, in units of the sum of squares."""
+    """Root mean square of the deviations from the parabola around a minimum, in units of the sum of squares.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+    """
     values, directions = np.linalg.eigh(minimum.equations.information)
     lengths = np.minimum(1.0 / np.sqrt(np.maximum(values, TINY)), LAW_SHARE / FARTHEST)
     deviations = []

@@ -43,6 +43,10 @@ class Shifts(Protocol):
         """The problem corrected for a delay of some channels by a number of samples.
 
         Late outputs are moved to earlier times, and commands that act late to later times.
+
+        Args:
+            channels: Positions of the channels.
+            shift: The delay in samples; negative: a lead.
         """
         ...
 

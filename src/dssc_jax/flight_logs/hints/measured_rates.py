@@ -62,7 +62,13 @@ def mended_rate(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command
 
 
 def correction_text(scale: float, offset: float, unit: str) -> str:
-    """A scale and an offset of a column, in words; a scale of 1 and an offset of 0 are left out."""
+    """A scale and an offset of a column, in words; a scale of 1 and an offset of 0 are left out.
+
+    Args:
+        scale: The scale.
+        offset: The offset, in the unit.
+        unit: Unit of the column.
+    """
     texts = []
     if scale != 1.0:
         texts.append(f"a scale of {scale:.4g}")

@@ -51,7 +51,12 @@ class Move(NamedTuple):
 
 
 def moved(values: np.ndarray, shift: int) -> np.ndarray:
-    """Values moved to later samples, or to earlier ones for a negative shift; an end value fills the gap."""
+    """Values moved to later samples, or to earlier ones for a negative shift; an end value fills the gap.
+
+    Args:
+        values: The values, shape (samples,).
+        shift: How many samples later they come; negative: earlier.
+    """
     rows = np.clip(np.arange(len(values)) - shift, 0, len(values) - 1)
     return values[rows]
 

@@ -208,6 +208,11 @@ def least_by_others(averaged: AveragedDifference, before: np.ndarray) -> float:
 
 
 def remaining(values: np.ndarray, regressor: np.ndarray) -> float:
-    """The root mean square of values that a multiple of a regressor leaves; both of shape (windows,)."""
+    """The root mean square of values that a multiple of a regressor leaves; both of shape (windows,).
+
+    Args:
+        values: The values, shape (windows,).
+        regressor: The regressor, shape (windows,).
+    """
     square = float(regressor @ regressor)
     return rms(values - (float(values @ regressor) / square if square > 0.0 else 0.0) * regressor)

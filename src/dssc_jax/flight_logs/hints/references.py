@@ -161,7 +161,12 @@ def slope_hint(rate: np.ndarray, slope: np.ndarray, unit: str) -> Hint | None:
 
 
 def shifted_text(log: FlightLog, shift: float) -> str:
-    """The words that a logged reference is later than the study's by a time [s], or earlier, with both remedies."""
+    """The words that a logged reference is later than the study's by a time [s], or earlier, with both remedies.
+
+    Args:
+        log: The flight.
+        shift: How much later the logged reference is [s]; negative: earlier.
+    """
     start = log.start + shift
     remedy = f"set start to {start:g} s"
     if start < first_time(log.columns):

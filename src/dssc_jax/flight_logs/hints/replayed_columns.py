@@ -179,7 +179,12 @@ def moves_by_rate(logged: Mapping[str, np.ndarray], sample_time: float) -> bool:
 
 
 def command_difference(logged: np.ndarray, command: np.ndarray) -> float:
-    """Root mean square of the difference of two commands less its median; infinite with too few values."""
+    """Root mean square of the difference of two commands less its median; infinite with too few values.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        command: The command of the analysed controller, shape (samples,).
+    """
     difference = logged - command
     is_finite = np.isfinite(difference)
     if np.count_nonzero(is_finite) < LEAST_VALUES:
@@ -191,6 +196,10 @@ def command_share(logged: np.ndarray, command: np.ndarray) -> float:
     """The difference by :func:`command_difference` over the root mean square deviation of the logged command.
 
     The share is infinite with too few values, or if the logged command rests.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        command: The command of the analysed controller, shape (samples,).
     """
     is_finite = np.isfinite(logged - command)
     if not is_finite.any():

@@ -67,7 +67,13 @@ def rounding_step(levels: np.ndarray) -> float:
 
 
 def multiple_share(values: np.ndarray, step: float, origin: float) -> float:
-    """The share of values that lie a multiple of a step away from an origin."""
+    """The share of values that lie a multiple of a step away from an origin.
+
+    Args:
+        values: The values, shape (n,).
+        step: The step.
+        origin: A value that is a multiple, from which the others count.
+    """
     places = (values - origin) / step
     return float(np.mean(np.abs(places - np.round(places)) < NEAR))
 

@@ -87,7 +87,13 @@ def yaw_rate_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, stam
 def local_vector_fields(
     names: tuple[str, str, str], unit: str, north_east_down: tuple[str, str, str]
 ) -> list[DerivedField]:
-    """The fields of a vector of PX4's local frame as east, north and up."""
+    """The fields of a vector of PX4's local frame as east, north and up.
+
+    Args:
+        names: Names of the east, north and up components.
+        unit: Unit of the components.
+        north_east_down: The topic's fields with the north, east and down components.
+    """
     north, east, down = north_east_down
     sources = ((east, identity), (north, identity), (down, negative))
     return [DerivedField(name, unit, (field,), of) for name, (field, of) in zip(names, sources, strict=True)]
@@ -146,6 +152,10 @@ def derived_fields(topic: str, columns: Fields) -> dict[str, DerivedField]:
     """The fields in the model's axes that a topic with given columns has in addition to its own, by name.
 
     A field that the topic itself has under the same name is left out.
+
+    Args:
+        topic: Name of the topic, without instance.
+        columns: The topic's own fields.
     """
     derived = {}
     for field in DERIVED.get(topic.removesuffix(GROUND_TRUTH), ()):

@@ -111,7 +111,13 @@ def clock_jumped(log: FlightLog, gap: Gap) -> bool:
 
 
 def gap_text(log: FlightLog, gaps: tuple[Gap, ...], sample_time: float) -> str:
-    """The gaps in words, with the parts of the log before and after the longest gap as the remedy."""
+    """The gaps in words, with the parts of the log before and after the longest gap as the remedy.
+
+    Args:
+        log: The flight.
+        gaps: The gaps, in order of time; at least one.
+        sample_time: Sample time of the study [s].
+    """
     spans = []
     for gap in gaps[:NAMED]:
         spans.append(f"{gap.end - gap.begin:.3g} s from {gap.begin:.4g} s on ({', '.join(gap.signals)})")

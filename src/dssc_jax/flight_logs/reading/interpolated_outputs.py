@@ -58,6 +58,7 @@ def bent_places(sizes: np.ndarray, least_bend: float) -> np.ndarray:
         least_bend: The least size of a bend: smaller ones are rounding.
     """
     ordered = np.sort(np.maximum(sizes, STRAIGHT * least_bend))
+    # The largest ratio of neighbouring sizes separates the lines from the bends.
     smallest_bend = float(ordered[1 + int(np.argmax(ordered[1:] / np.maximum(ordered[:-1], TINY)))])
     is_bend = sizes >= max(smallest_bend, least_bend)
     if least_bend == 0.0 or not is_bend.any() or np.mean(~is_bend) < LEAST_STRAIGHT:

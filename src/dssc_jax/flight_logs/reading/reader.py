@@ -322,6 +322,12 @@ def samples_within(log: FlightLog, sample_time: float, steps: int) -> int:
 def nearest_rows(column: Column, start: float, sample_time: float, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Find the logged value nearest to each instant ``start`` + k ``sample_time``.
 
+    Args:
+        column: The signal.
+        start: Time of the log at sample 0 [s].
+        sample_time: Time between two samples [s].
+        samples: Number of samples.
+
     Returns:
         Positions of the values in the column, and the values' times less the instants, in samples, NaN where they
         exceed half a sample; both of shape (samples,).

@@ -356,6 +356,11 @@ def concerns(reset: Reset, topic: str, needs: Iterable[str]) -> bool:
     """Whether a reset changes one of the fields ``needs`` of a topic, or the velocity along the axis of one of them.
 
     A field of a setpoint counts as the estimate's field in the same frame; a reset of the attitude concerns its yaw.
+
+    Args:
+        reset: The reset.
+        topic: Name of the topic.
+        needs: The topic's own fields from which a column is computed.
     """
     jumping = set(reset.counter.fields)
     if topic in SETPOINTS:

@@ -54,7 +54,12 @@ ANY_SIZE = BodySizes(STAMPED.size, 0xFFFF)
 
 
 def message_sizes(name: str, formats: Mapping[str, str]) -> BodySizes:
-    """The sizes that a topic's messages may have by the log's formats; any size if the log lacks one of the formats."""
+    """The sizes that a topic's messages may have by the log's formats; any size if the log lacks one of the formats.
+
+    Args:
+        name: Name of the topic's format.
+        formats: The fields of each format, as text, by name.
+    """
     try:
         smallest, largest = field_sizes(name, formats)
     except (KeyError, RecursionError):
