@@ -46,7 +46,12 @@ class ChannelReplay:
     def _commands(
         self, columns: tuple[Measurement, ReferencePoint], numbers: Mapping[str, jax.Array | float]
     ) -> jax.Array:
-        """The command at each sample; every field of the columns has the shape (samples,)."""
+        """The command at each sample, shape (samples,), in JAX.
+
+        Args:
+            columns: Measurements and references, every field of shape (samples,).
+            numbers: Values of numbers that replace the study's or the medians of their laws, by name.
+        """
         loop = replace(self.study.loop, sample_time=self.sample_time)
         params = self.study.params({**median_values(self.study), **numbers})
 

@@ -32,7 +32,7 @@ def filtered(series: np.ndarray, samples: float) -> np.ndarray:
     response = -np.expm1(-1.0 / samples)  # to a step, after one sample
     ramp = samples * response
     first = series[..., :1]
-    # The next reading is (1 - ramp) times the next value, plus a share of the present one, and fades by 1 - response.
+    # reading(k + 1) = (1 - response) reading(k) + numerator[0] series(k + 1) + numerator[1] series(k)
     numerator = [1.0 - ramp, ramp - (1.0 - response)]
     return first + signal.lfilter(numerator, [1.0, response - 1.0], series - first, axis=-1)
 

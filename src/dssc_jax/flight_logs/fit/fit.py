@@ -258,7 +258,7 @@ def fitted_minimum(
 
     Args:
         problem: The least-squares problem of the log.
-        search: Its minima.
+        search: The minima of the problem.
         unidentified_widths: Numbers that keep their laws, with the width that the flight leaves over that of the law.
         moves: How far other commands that may have flown move the coordinates, shape (k, p).
         known: Warnings by the replay of the log about faults that may cause a residual.

@@ -155,7 +155,12 @@ def choices_of(channels: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def replace_prediction(problem: FitProblem, prediction: tuple[np.ndarray, np.ndarray]) -> FitProblem:
-    """Replace the prediction of a problem by one result, whatever the numbers; returns the problem."""
+    """Replace the prediction of a problem by one result, whatever the numbers; returns the problem.
+
+    Args:
+        problem: The problem.
+        prediction: The predicted outputs and their slopes.
+    """
     problem.predict = lambda values, commands, forces=None: prediction
     return problem
 
@@ -233,6 +238,10 @@ def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarnin
 
     A gust leaves a smooth residual, which any shift changes, so a study that declares gusts has no such doubt. If the
     longest shift is the best one, it is not taken for a delay.
+
+    Args:
+        problem: The problem whose search has ended early.
+        minimum: The best minimum so far.
     """
     margin = longest_shift(problem)
     shifts = ShiftedOutputs(problem, margin)

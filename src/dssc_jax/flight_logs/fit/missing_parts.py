@@ -52,7 +52,7 @@ class Part(NamedTuple):
         remedy: What to do.
         actuator: Its model, if it is one of an actuator.
         commands: (Flight, size) -> commands that a plant with the part gets, before the study's actuator, shape (n,).
-        sizes: Flight -> first sizes.
+        sizes: Flight -> sizes that are tried first.
         is_positive: Whether only positive sizes are possible, whose logarithms are fitted.
         is_possible: (Flight, size) -> whether the size means something on this flight.
         choices: Number of such parts of which it is the likeliest.
@@ -138,39 +138,39 @@ def delayed(series: np.ndarray, samples: float) -> np.ndarray:
 
 
 def drag_sizes(flight: Flight) -> tuple[float, ...]:
-    """The first size of drag, whose forces are small beside the commands."""
+    """The size of drag that is tried first: its forces are small beside the commands."""
     return (force_sizes(flight)[0] / max(rms(quadratic_drag(flight.speed)), TINY),)
 
 
 def force_sizes(flight: Flight) -> tuple[float, ...]:
-    """The first size of a force [u]: a share of the commands' root mean square, or of 1 if all commands are 0."""
+    """The size of a force [u] that is tried first: a share of the commands' rms, or of 1 if all commands are 0."""
     return (PROBE * (rms(flight.commands) or 1.0),)
 
 
 def lag_sizes(flight: Flight) -> tuple[float, ...]:
-    """The first time constants of a lag [s]: from half a sample on, and short beside the flight."""
+    """Time constants of a lag [s] that are tried first: from half a sample on, and short beside the flight."""
     return tuple(flight.sample_time * samples for samples in LAGS if 10.0 * samples < len(flight.commands))
 
 
 def limit_sizes(flight: Flight) -> tuple[float, ...]:
-    """The first limits [u], which the commands reach."""
+    """Limits of the command [u] that are tried first, all below the largest command."""
     largest = float(np.abs(flight.commands).max())
     return tuple(largest * level for level in LEVELS)
 
 
 def dead_zone_sizes(flight: Flight) -> tuple[float, ...]:
-    """The first half widths of a dead zone [u], which are small beside the commands."""
+    """Half widths of a dead zone [u] that are tried first, all small beside the largest command."""
     largest = float(np.abs(flight.commands).max())
     return tuple(largest * width for width in WIDTHS)
 
 
 def rate_sizes(flight: Flight) -> tuple[float, ...]:
-    """The first limits of the rate [u/s], which the commands exceed."""
+    """Limits of the rate [u/s] that are tried first, all below the largest rate of the commands."""
     return tuple(largest_rate(flight) * share for share in RATES)
 
 
 def step_sizes(flight: Flight) -> tuple[float, ...]:
-    """The first steps of a rounded command [u]: numbers of two digits, then a fine geometric series."""
+    """Steps of a rounded command [u] that are tried first: numbers of two digits, then a fine geometric series."""
     size = rms(flight.commands)
     if size == 0.0:
         return (1.0,)
@@ -186,7 +186,7 @@ def largest_rate(flight: Flight) -> float:
 
 
 def fading_sizes(flight: Flight) -> tuple[float, ...]:
-    """The first size of a change of the gain: a small fall."""
+    """The share by which a gain falls that is tried first: a small one, whatever the flight."""
     return (PROBE,)
 
 

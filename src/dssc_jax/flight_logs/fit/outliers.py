@@ -73,6 +73,10 @@ def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[SignalWarning, .
     """The doubts about readings that stand out of the residual at coordinates x, by channel, with the remedy.
 
     Changes that a rounding of the readings can make are reported as rounding, however fine this is beside the output.
+
+    Args:
+        problem: The least-squares problem of the log.
+        x: Coordinates of the numbers, shape (p,).
     """
     doubts = []
     for readings, columns in zip(problem.readings, problem.columns(x), strict=True):

@@ -202,7 +202,7 @@ def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, result: Explai
     has_gusts = declares_noise(problem.study)
 
     def matters(fit: PartFit) -> bool:
-        """Whether the part explains far more, so that the fit would be accepted."""
+        """Whether the part leaves so little that a fit with it would be accepted; with gusts, likelihood decides."""
         if not is_plausible(fit, result):
             return False
         is_small = fit.residual < LARGE_PART * residual and result.unexplained_by(fit.residual) < MOST_UNEXPLAINED

@@ -82,7 +82,12 @@ def has_scale(problem: FitProblem, name: str) -> bool:
 
 
 def is_beyond_by_ratio(law: Law, value: float) -> bool:
-    """Whether a value has the sign of its law, and is several times as large or as small as all values of the law."""
+    """Whether a value has the sign of its law, and is several times as large or as small as all values of the law.
+
+    Args:
+        law: The law of the number.
+        value: The value; not 0.
+    """
     ratios = law.quantile(LAW_ENDS) / value
     is_small = ratios.min() > UNIT_RATIO
     is_large = ratios.min() > 0.0 and ratios.max() < 1.0 / UNIT_RATIO

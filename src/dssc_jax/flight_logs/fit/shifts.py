@@ -188,7 +188,12 @@ def climbed_shift(
 
 
 def log_likelihood(problem: FitProblem, x: np.ndarray) -> float:
-    """The logarithm of the likelihood of all readings, at the likeliest variance of each channel's noise."""
+    """The logarithm of the likelihood of all readings, at the likeliest variance of each channel's noise.
+
+    Args:
+        problem: The problem, with its noises.
+        x: Coordinates of the numbers, shape (p,).
+    """
     total = 0.0
     for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):
         products, log_det = weighted_products(noise, readings.times, columns[:, :1])
@@ -232,7 +237,13 @@ def refinement(shifts: Shifts, end: Minimum, channels: Sequence[int], shift: int
 
 
 def residuals(problem: FitProblem, channels: Sequence[int], x: np.ndarray) -> tuple[float, ...]:
-    """The root mean square of the residual of each of the given channels, at coordinates x of shape (p,)."""
+    """The root mean square of the residual of each of the given channels, at coordinates x of shape (p,).
+
+    Args:
+        problem: The problem, with the shift or without it.
+        channels: Positions of the channels.
+        x: Coordinates of the numbers, shape (p,).
+    """
     pairs = zip(problem.readings, problem.columns(x), strict=True)
     return tuple(float(np.sqrt(np.mean(c[:, 0] ** 2))) for readings, c in pairs if readings.channel in channels)
 

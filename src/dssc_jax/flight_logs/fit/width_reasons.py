@@ -52,7 +52,12 @@ def sentence(text: str) -> str:
 
 
 def widest_growth(narrow: np.ndarray, wide: np.ndarray) -> float:
-    """The largest growth factor of a standard deviation between two covariances, each of shape (p, p)."""
+    """The largest growth factor of a standard deviation between two covariances, each of shape (p, p).
+
+    Args:
+        narrow: The covariance with the smaller variances.
+        wide: The covariance with the larger variances.
+    """
     return float(np.sqrt(np.max(np.diag(wide) / np.diag(narrow))))
 
 

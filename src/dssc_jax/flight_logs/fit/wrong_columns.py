@@ -163,7 +163,12 @@ def other_columns(problem: FitProblem) -> Iterator[OtherColumns]:
 
 
 def errors_as_outputs(problem: FitProblem, channel: int) -> Iterator[OtherColumns]:
-    """The hypotheses that the column of y holds the error: of either sign, from the logged reference or the study's."""
+    """The hypotheses that the column of y holds the error: of either sign, from the logged reference or the study's.
+
+    Args:
+        problem: The least-squares problem of the log.
+        channel: Position of the channel.
+    """
     log = problem.log
     name = problem.study.loop.channels[channel]
     y = signal_name(name, "y")
@@ -181,7 +186,12 @@ def errors_as_outputs(problem: FitProblem, channel: int) -> Iterator[OtherColumn
 
 
 def exchanged_signals(problem: FitProblem, channel: int) -> Iterator[OtherColumns]:
-    """The hypotheses that y and the command of a channel are in other columns of that channel, such as each other's."""
+    """The hypotheses that y and the command of a channel are in other columns of that channel, such as each other's.
+
+    Args:
+        problem: The least-squares problem of the log.
+        channel: Position of the channel.
+    """
     log = problem.log
     name = problem.study.loop.channels[channel]
     signals = log.signals[channel]
@@ -202,7 +212,13 @@ def exchanged_signals(problem: FitProblem, channel: int) -> Iterator[OtherColumn
 
 
 def exchanged_channels(problem: FitProblem, first: int, second: int) -> Iterator[OtherColumns]:
-    """The hypotheses that the outputs, or the commands, of two channels are in each other's column."""
+    """The hypotheses that the outputs, or the commands, of two channels are in each other's column.
+
+    Args:
+        problem: The least-squares problem of the log.
+        first: Position of one channel.
+        second: Position of the other channel, whose signals have the same units.
+    """
     log = problem.log
     channels = problem.study.loop.channels
     exchanged = np.arange(len(channels))
@@ -218,7 +234,13 @@ def exchanged_channels(problem: FitProblem, first: int, second: int) -> Iterator
 
 
 def with_row(rows: np.ndarray, row: int, values: np.ndarray) -> np.ndarray:
-    """A copy of the signals of all channels, shape (channels, samples), in which ``values`` replace one row."""
+    """A copy of the signals of all channels, shape (channels, samples), in which ``values`` replace one row.
+
+    Args:
+        rows: Signals of all channels, shape (channels, samples).
+        row: Position of the channel.
+        values: The new signal of that channel, shape (samples,).
+    """
     changed = rows.copy()
     changed[row] = values
     return changed

@@ -301,7 +301,7 @@ def reference_conversion(
 
     Args:
         index: Position of the channel.
-        logged: Its logged reference, NaN where missing, shape (samples,).
+        logged: The channel's logged reference, NaN where missing, shape (samples,).
         references: The study's references, shape (channels, samples).
         channels: Names of the channels.
         unit: Unit of the channel's output.

@@ -73,7 +73,12 @@ def replayed_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) 
 
 
 def has_values(logged: Mapping[str, np.ndarray], name: str) -> bool:
-    """Whether a log has at least one value of a signal."""
+    """Whether a log has at least one value of a signal.
+
+    Args:
+        logged: The channel's signals by name, NaN where missing.
+        name: Name of the signal.
+    """
     return name in logged and bool(np.isfinite(logged[name]).any())
 
 
@@ -175,7 +180,12 @@ def best_move(
 
 
 def reason_of(replay: ChannelReplay, move: Move) -> str:
-    """The evidence for a move, in words: how well the controller gives the logged command with and without the move."""
+    """The evidence for a move, in words: how well the controller gives the logged command with and without the move.
+
+    Args:
+        replay: The channel's controller.
+        move: The move.
+    """
     channel = replay.study.loop.channels[replay.index]
     side = "later" if move.seconds > 0.0 else "earlier"
     return (

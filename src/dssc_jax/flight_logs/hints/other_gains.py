@@ -42,7 +42,12 @@ class OtherGain(NamedTuple):
 
 
 def numbers_of_controller(study: Study, index: int) -> dict[str, float]:
-    """The numbers of a channel's controller that differ from 0 and may have any value, by name."""
+    """The numbers of a channel's controller that differ from 0 and may have any value, by name.
+
+    Args:
+        study: The study.
+        index: Position of the channel.
+    """
     medians = median_values(study)
     found = {}
     for name, number in study.numbers.items():

@@ -78,7 +78,12 @@ class AveragedDifference:
         self.width = max(1, min(round(WINDOW / replay.study.loop.sample_time), samples // LEAST_WINDOWS))
 
     def command(self, factor: float, offset: float = 0.0) -> np.ndarray:
-        """The controller's command for (y - offset) / factor, shape (samples,); NaN if it gives none."""
+        """The controller's command for (y - offset) / factor, shape (samples,); NaN if it gives none.
+
+        Args:
+            factor: Factor of the logged output.
+            offset: Offset of the logged output, in its unit.
+        """
         command = self.replay.command({**self.logged, "y": (self.logged["y"] - offset) / factor})
         return np.full(len(self.logged["u_total"]), np.nan) if isinstance(command, str) else command
 
@@ -153,6 +158,10 @@ def has_study_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray])
     """Whether the reference is the study's, and not 0 throughout. Another reference may be wrong instead of the output.
 
     A log without a reference counts as one with that of the study.
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals, NaN where missing, each of shape (samples,).
     """
     reference = replay.reference[0]
     if not np.any(reference):

@@ -40,7 +40,12 @@ class StretchedReference(NamedTuple):
 
 
 def fine_times(sample_time: float, samples: int) -> np.ndarray:
-    """The times at which the study's reference is compared with a stretched one [s], shape (m,)."""
+    """The times at which the study's reference is compared with a stretched one [s], shape (m,).
+
+    Args:
+        sample_time: Sample time of the study [s].
+        samples: Number of samples of the study that the log covers.
+    """
     return sample_time / FINER * np.arange(round((1.0 + 2.0 * LARGEST_STRETCH) * FINER * samples))
 
 
@@ -91,7 +96,12 @@ def shortest_number(low: float, high: float) -> float:
 
 
 def stretch_text(log: FlightLog, stretch: float) -> str:
-    """A stretch of a log's references in words, with the scale of the log's times that removes the stretch."""
+    """A stretch of a log's references in words, with the scale of the log's times that removes the stretch.
+
+    Args:
+        log: The flight.
+        stretch: Times of the log over those of the study's reference.
+    """
     kind = "fast" if stretch > 1.0 else "slow"
     clock = f"the log's clock is {max(stretch, 1.0 / stretch):.4g} times too {kind}"
     text = f"is the study's with times x {stretch:.4g}: {clock}, or the flight had another reference"

@@ -227,7 +227,12 @@ def other_reference_text(logged: np.ndarray, reference: np.ndarray, largest_rang
 
 
 def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:
-    """The largest distance of a logged reference from the study's; 0 if no value is logged."""
+    """The largest distance of a logged reference from the study's; 0 if no value is logged.
+
+    Args:
+        logged: The logged reference, NaN where missing, shape (n,).
+        reference: The study's reference at the same times, shape (n,).
+    """
     return float(np.nanmax(np.abs(logged - reference), initial=0.0))
 
 

@@ -128,7 +128,12 @@ def opposite_signs(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> I
 
 
 def reference_of(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The logged reference, or that of the study if the log has none, shape (samples,)."""
+    """The logged reference, or that of the study if the log has none, shape (samples,).
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals by name, NaN where missing.
+    """
     return logged.get("y_ref", replay.reference[0])
 
 

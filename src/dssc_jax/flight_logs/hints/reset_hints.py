@@ -18,7 +18,12 @@ def study_end(study: Study, log: FlightLog) -> float:
 
 
 def relevant_resets(study: Study, log: FlightLog) -> list[Reset]:
-    """The resets within the study whose jump is not negligible, or is not stated by the log."""
+    """The resets within the study whose jump is not negligible, or is not stated by the log.
+
+    Args:
+        study: The study.
+        log: The flight.
+    """
     end = study_end(study, log)
     resets = [reset for reset in log.resets if log.start < reset.time <= end]
     return [reset for reset in resets if reset.size > TRIFLE or not reset.is_stated]

@@ -46,7 +46,12 @@ def output_rounding(values: np.ndarray, coarse: float = COARSE) -> float:
 
 
 def declared_resolution(study: Study, index: int) -> float:
-    """The step to which the study's sensor of a channel rounds y, at the medians of the laws; 0: it does not round."""
+    """The step to which the study's sensor of a channel rounds y, at the medians of the laws; 0: it does not round.
+
+    Args:
+        study: The study.
+        index: Position of the channel.
+    """
     sensor = study.loop.sensor[index]
     if sensor.resolution is None:
         return 0.0

@@ -89,6 +89,10 @@ def time_source(entry: object) -> TimeSource:
 def signal_source(name: str, entry: object) -> SignalSource:
     """Parse the entry of a signal: the name of a column, or a table of ``column``, ``scale`` and ``offset``.
 
+    Args:
+        name: Name of the signal.
+        entry: The entry.
+
     Raises:
         ConfigError: The entry is neither, or a number is not finite, or the scale is 0.
     """

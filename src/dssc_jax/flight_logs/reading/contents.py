@@ -211,7 +211,13 @@ def topic_fields(name: str, data: TopicData, begin: float) -> Iterable[FieldValu
 
 
 def field_summary(name: str, values: np.ndarray | None, derived: bool) -> FieldValues:
-    """The number, range and median of a field's finite values."""
+    """The number, range and median of a field's finite values.
+
+    Args:
+        name: Name of the field.
+        values: Values of the field; None: the log lacks it.
+        derived: Whether the field is in the model's axes.
+    """
     finite = np.empty(0) if values is None else values[np.isfinite(values)]
     if not finite.size:
         return FieldValues(name=name, derived=derived, finite=0, lowest=np.nan, median=np.nan, highest=np.nan)

@@ -47,7 +47,12 @@ def times_text(log: FlightLog, least_length: float = 0.0) -> str:
 
 
 def time_unit_text(log: FlightLog, sample_time: float) -> str:
-    """What is wrong with a log's times if they repeat, count rows, or do not look like seconds; else empty."""
+    """What is wrong with a log's times if they repeat, count rows, or do not look like seconds; else empty.
+
+    Args:
+        log: The flight.
+        sample_time: Sample time of the study [s].
+    """
     doubt_of_times = times_text(log)
     if doubt_of_times:
         return f"; its column of times {doubt_of_times}"
@@ -66,7 +71,12 @@ def time_unit_text(log: FlightLog, sample_time: float) -> str:
 
 
 def scale_text(log: FlightLog, unit: TimeUnit) -> str:
-    """The remedy, in words: the entry of the table of columns that turns times of a unit into seconds."""
+    """The remedy, in words: the entry of the table of columns that turns times of a unit into seconds.
+
+    Args:
+        log: The flight.
+        unit: The unit of the log's times.
+    """
     scale = unit.seconds * log.clock.scale
     return f'give time = {{ column = "{log.clock.column}", scale = {scale:.4g} }} in the table of columns'
 

@@ -35,7 +35,13 @@ class Gap(NamedTuple):
 
 
 def gaps_of(column: Column, begin: float, end: float) -> list[tuple[float, float]]:
-    """Find spans between two times [s] in which a signal with a regular rate lacks messages while its value changes."""
+    """Find spans between two times [s] in which a signal with a regular rate lacks messages while its value changes.
+
+    Args:
+        column: The signal.
+        begin: Time of the log from which on gaps count [s].
+        end: Time of the log up to which gaps count [s].
+    """
     is_selected = (column.time >= begin) & (column.time <= end)
     time, value = column.time[is_selected], column.value[is_selected]
     steps = np.diff(time)
@@ -58,7 +64,13 @@ def gaps_of(column: Column, begin: float, end: float) -> list[tuple[float, float
 
 
 def log_gaps(log: FlightLog, signals: Iterable[str], end: float) -> tuple[Gap, ...]:
-    """Find the gaps of signals from the study's beginning to a time of the log [s]; overlapping gaps are merged."""
+    """Find the gaps of signals from the study's beginning to a time of the log [s]; overlapping gaps are merged.
+
+    Args:
+        log: The flight.
+        signals: Names of the signals.
+        end: The time of the log up to which gaps count [s].
+    """
     gaps: list[Gap] = []
     spans = ((span, name) for name in signals for span in gaps_of(log.columns[name], log.start, end))
     for (begin, stop), name in sorted(spans):

@@ -389,7 +389,7 @@ def concerned_resets(
 
 
 def concerned_spans(topics: TopicData, begin: float, columns: Sequence[tuple[str, str]]) -> tuple[InvalidSpan, ...]:
-    """The spans in which some columns, each a topic and a field, are invalid."""
+    """The spans in which some columns, each a topic and a field, are invalid; the log begins at ``begin`` [us]."""
     needs = {field for topic, name in columns if topic == POSITION for field in needed_fields(topic, name, topics)}
     spans = invalid_spans(topics, begin, log_end(topics, begin))
     return tuple(span for span in spans if needs & set(span.fields))

@@ -300,6 +300,10 @@ def spans_of(
 def named_segment(text: str, segments: Sequence[Segment]) -> Segment:
     """The segment that a text names: ``armed`` stands for the longest such segment, ``armed:2`` for the second.
 
+    Args:
+        text: The text.
+        segments: The segments of the log.
+
     Raises:
         ConfigError: there is no such segment.
     """

@@ -68,7 +68,12 @@ def message_sizes(name: str, formats: Mapping[str, str]) -> BodySizes:
 
 
 def field_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int]:
-    """The bytes of a format's fields without and with the padding at its end; raises KeyError for an unknown type."""
+    """The bytes of a format's fields without and with the padding at its end; raises KeyError for an unknown type.
+
+    Args:
+        name: Name of the format.
+        formats: The fields of each format, as text, by name.
+    """
     padded = 0
     unpadded = 0
     for text in formats[name].split(";"):
@@ -84,7 +89,12 @@ def field_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int]:
 
 
 def is_sound_text(kind: int, body: bytes) -> bool:
-    """Whether a body is possible for a message of a kind other than data."""
+    """Whether a body is possible for a message of a kind other than data.
+
+    Args:
+        kind: Kind of the message, as a byte.
+        body: Body of the message, without its head.
+    """
     if kind not in KINDS or kind == DATA:
         return False
     size = len(body)
