@@ -39,7 +39,7 @@ from dssc_jax.statistics.conformal import (
 from dssc_jax.statistics.exchangeable import Yardstick
 from dssc_jax.study import Study
 
-SHORT = 0.9  # share of the study, or of the longest log: a shorter log is told
+SHORT = 0.9  # share of the study, or of the longest log: a shorter log is reported
 PROBABILITY = 0.9
 SHARES = (0.1, 0.2, 0.5)
 """Shares of flights beyond the draws' line for which the number of flights is told."""

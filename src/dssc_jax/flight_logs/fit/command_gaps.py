@@ -22,7 +22,7 @@ STAIRCASE = 0.2  # share of the logged values that repeat the one before: with m
 REGULAR = 2.5  # factor on the median gap: over longer gaps a command is held
 JUMP = 5.0  # factor on the slopes before and after: a larger slope is a jump, and no straight line
 LEVEL = 0.95  # level of chi squared, below which two reconstructions describe a flight equally well
-TOLD = 0.5  # standard deviations: a reconstruction that moves an estimate by less is not told
+TOLD = 0.5  # standard deviations: a reconstruction that moves an estimate by less is not reported
 
 HELD = "its last value is held"
 LATE = "it follows straight lines, and jumps with the next logged value"

@@ -135,7 +135,7 @@ class Fitted:
     def law(self, name: str) -> Law:
         """The proposed law of a number: log-normal if its law in the study is logarithmic, else normal.
 
-        A normal law is truncated to the admissible range of the number.
+        A normal law is truncated to the admissible range, if the number has one or is a parameter of the study.
         """
         place = self.names.index(name)
         mean = float(self.scaled[place])

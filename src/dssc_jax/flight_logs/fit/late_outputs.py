@@ -23,7 +23,7 @@ from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import weighted_products
 
-MOST_REMAINING = 0.7  # share of the sum of squares that a shift may leave to be told without a fit
+MOST_REMAINING = 0.7  # share of the sum of squares that a shift may leave to be reported without a fit
 
 
 class ScreenedShift(NamedTuple):

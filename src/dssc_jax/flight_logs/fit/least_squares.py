@@ -38,7 +38,7 @@ def fit_scale(law: Law, values: np.ndarray | float) -> np.ndarray:
 
 
 def from_fit_scale(law: Law, values: np.ndarray | float) -> np.ndarray:
-    """The inverse of :func:`fit_scale`."""
+    """Convert values on the scale of the fit back to values of the number: the inverse of :func:`fit_scale`."""
     return np.exp(values) if law.logarithmic else np.asarray(values, float)
 
 

@@ -15,8 +15,8 @@ from scipy import stats
 
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, NormalEquations, fit_scale
 
-ITERATIONS = 40  # of Gauss-Newton
-REWEIGHTINGS = 5  # of the residual by its noise
+ITERATIONS = 40  # most steps of Gauss-Newton
+REWEIGHTINGS = 5  # most times that the residual is weighted by its noise again
 LARGEST_STEP = 2.0  # prior standard deviations in one iteration
 SCREENED = 64  # points whose residuals are compared; the search starts at the best ones
 STARTS = 8  # of the search for the minimum, at first; the first one is at the medians of the laws

@@ -1,4 +1,4 @@
-"""What a fit says of a part that the study lacks: the best one, those that explain the flight nearly as well, and why.
+"""Warnings about parts that a study lacks: the best one, with those that explain the flight nearly as well.
 
 A delay and a lag of the same time move the outputs alike, so delays are compared with the parts.
 """

@@ -10,8 +10,8 @@ from dssc_jax.flight_logs.fit.refusals import MOST_UNEXPLAINED, Explained, NotId
 from dssc_jax.flight_logs.hints.conversions import factor_text
 from dssc_jax.study import Law
 
-ABSURD = 20.0  # standard deviations of a law beyond its ends
-ABSURD_RATIO = 2.5  # to the median of a law; a value beyond both is no number of this vehicle
+ABSURD = 20.0  # standard deviations of a law beyond its ends, and
+ABSURD_RATIO = 2.5  # ratio to the median of a law: a value beyond both limits is no number of this vehicle
 EXPLAINS_NOTHING = 0.9  # least share of an output's standard deviation that is left as residual
 UNIT_RATIO = 3.0  # of a value to the nearest end of its law: a larger one, or its inverse, may be that of a unit
 

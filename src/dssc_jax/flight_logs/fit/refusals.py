@@ -23,7 +23,7 @@ from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import Noise, independent_samples
 
-MOST_UNEXPLAINED = 0.1  # share of the output's variance
+MOST_UNEXPLAINED = 0.1  # largest share of the output's variance that a fit may leave unexplained
 EXPLAINED_CONFIDENCE = 0.95  # confidence that a refused fit leaves more than that
 MUCH_LARGER = 1.25  # than what noise explains of a residual: a larger residual is doubted
 NOISE_CONFIDENCE = 0.9999  # confidence that noise alone is no larger than its limit

@@ -15,10 +15,10 @@ from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, Readings
 from dssc_jax.flight_logs.fit.minima import Minimum, minimise, reweighted_minimum
 from dssc_jax.statistics.correlated_noise import Noise, weighted_products
 
-LONGEST_SHIFT = 0.5  # s
-LONGEST_SHARE = 0.1  # share of the log's samples
-MOST_SHIFTS = 25  # on either side
-LEAST_SHIFT = 0.5  # samples: commands and outputs count at the nearest sample
+LONGEST_SHIFT = 0.5  # s, longest shift that is tried
+LONGEST_SHARE = 0.1  # longest shift that is tried, as a share of the log's samples
+MOST_SHIFTS = 25  # largest number of shifts that are tried on either side
+LEAST_SHIFT = 0.5  # samples, least shift that matters: commands and outputs count at the nearest sample
 ROUNDING = math.sqrt(1.0 / 12.0)  # samples: the standard deviation of a uniform error of one
 SIGNIFICANCE = 1e-4
 LARGE_MOVE = 1.0  # least move of an estimate that matters, in its standard deviations

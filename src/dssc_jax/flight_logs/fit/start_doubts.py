@@ -18,7 +18,7 @@ from dssc_jax.study.actuators import kind_in
 
 FIRST = 5  # readings whose median counts, so that no single one decides
 LATEST = 10.0  # samples: readings after that are no longer the first
-DEVIATIONS = 5.0  # standard deviations of the noise: a smaller difference of the starts is not told
+DEVIATIONS = 5.0  # standard deviations of the noise: a smaller difference of the starts is not reported
 KEPT = 0.05  # share of a difference by which it may vary over the flight and stay the same
 KEPT_SHARE = 0.95  # of the readings for which this holds
 LEAST_SHARE = 0.02  # of the output's standard deviation: a smaller difference hardly moves an estimate

@@ -20,7 +20,7 @@ from dssc_jax.flight_logs.fit.shifts import SIGNIFICANCE, log_likelihood
 from dssc_jax.flight_logs.hints.starts import START, fixed_start
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
-DEVIATIONS = 5.0  # of the speed: a smaller difference is not told
+DEVIATIONS = 5.0  # of the speed: a smaller difference is not reported
 AS_SMALL = 1.1  # factor on the residual with another start: a shift in time that leaves no more explains it as well
 LARGE_PART = 0.5  # share of the residual that may be left if another start explains it
 

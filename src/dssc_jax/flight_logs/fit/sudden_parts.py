@@ -24,11 +24,11 @@ from dssc_jax.flight_logs.fit.shifts import linear_cost
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
 from dssc_jax.study import Study
 
-TIMES = 32  # that are compared at first
+TIMES = 32  # number of moments that are compared at first
 ROUNDS = 4  # of fits, each with the time that is the likeliest by the fit before
-REFINEMENTS = 4  # of the best of these, between the samples
+REFINEMENTS = 4  # most Gauss-Newton steps from the best sample to a moment between the samples
 SMALL = 0.1  # share of the time's deviation: a smaller step is the last one
-MARGIN_DEVIATIONS = 4.0  # of the time, and a sample: half the span in which it lies
+MARGIN_DEVIATIONS = 4.0  # standard deviations of the time that, with one sample, are half the span of the remedy
 DIFFERENCE = 0.5  # samples, either side of a time: the step of the derivative by it
 LEAST_SAMPLES = 2 * TIMES
 MARGIN = 0.05  # share of the flight at either end without such a time

@@ -27,12 +27,13 @@ class UnidentifiedNumbers:
         return {name: width for name, width in self.widths.items() if name in self.kept}
 
     def update_insensitive(self, widths: Mapping[str, float]) -> bool:
-        """Keep the laws of numbers that the output hardly depends on, and tell whether other numbers are kept now.
+        """Keep the laws of numbers on which the output hardly depends; return whether the set of kept numbers changes.
 
-        At another minimum the output may depend on a number all the same. It is then fitted again, once.
+        At another minimum the output may depend on such a number after all. The number is then fitted again, but only
+        once.
 
         Args:
-            widths: The numbers with their widths, kept ones among them.
+            widths: All numbers on which the output hardly depends, with their widths, including those already kept.
         """
         before = self.kept
         recovered = self._insensitive - widths.keys() - self._recovered

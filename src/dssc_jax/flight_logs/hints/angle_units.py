@@ -13,7 +13,7 @@ from dssc_jax.flight_logs.reading.reader import FlightLog, nearest_values, signa
 from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
-LARGEST_ERROR = 0.6  # rad, root mean square: an angle in degrees that is farther from its reference is not told
+LARGEST_ERROR = 0.6  # rad, root mean square: an angle in degrees that is farther from its reference is not reported
 
 
 def angle_hints(study: Study, log: FlightLog, references: np.ndarray) -> dict[str, Hint]:

@@ -22,8 +22,8 @@ from dssc_jax.models.uav.onboard import UavState
 from dssc_jax.study import Study
 from dssc_jax.study.record_files import recorded_frame
 
-TILTED = math.radians(1.0)  # between the log's and the study's tilt
-TURNING = 0.1  # rad/s, between their body rates
+TILTED = math.radians(1.0)  # least difference between the tilt of the log and that of the study that is reported
+TURNING = 0.1  # rad/s, least difference between the body rates of the log and of the study that is reported
 NEAR = 0.1  # s from the beginning of the study, within which the log needs a value
 ULOG_COLUMNS = {
     "phi": "vehicle_attitude.phi",

@@ -9,9 +9,9 @@ from dssc_jax.flight_logs.hints.conversions import FEWER, rms
 from dssc_jax.flight_logs.signal_warnings import Hint
 
 EXPLAINED = 0.1  # share of the command's deviation that may be left
-LAGS = (1.0, 50.0)  # samples
-LARGEST_RATE = 0.1  # difference of a clock from the other one
-LEAST_SHIFT = 2.0  # samples at the end of the log, by which another clock is told
+LAGS = (1.0, 50.0)  # samples: the range of time constants that are tried
+LARGEST_RATE = 0.1  # largest relative difference of two clocks that is tried
+LEAST_SHIFT = 2.0  # samples at the end of the log, by which another clock is reported
 
 
 def course_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, deviation: float) -> Hint | None:

@@ -27,16 +27,16 @@ LARGE_FACTOR = 5.0  # of a command or its inverse: no other gains of one control
 LONGEST_SHIFT = 0.5  # s
 LONGEST_SHARE = 0.1  # of the log
 EXPLAINED = 0.1  # share of the command's deviation from its median that may be left of a command that is explained
-LARGE_OFFSET = 0.005  # share of that deviation: a smaller offset is not told
+LARGE_OFFSET = 0.005  # share of that deviation: a smaller offset is not reported
 LEAST_VALUES = 20
-FASTER = 0.75  # share of T_s: commands that change more often are those of a faster controller
+FASTER = 0.75  # share of T_s: if the time between two changes is shorter, the controller is faster than the study's
 ANOTHER = 0.1  # share of the command's deviation from its median: a larger difference is that of another controller
 LEAST_STUCK = 5  # equal samples in a row of a command that sticks
 STUCK = 10.0  # factor on the difference elsewhere: a larger one beside equal values is that of a command that sticks
-MOST_SPIKES = 12  # single values of a log that are told
-NAMED_SPIKES = 3  # whose times are told
+MOST_SPIKES = 12  # largest number of spikes in a log that are reported as such
+NAMED_SPIKES = 3  # spikes whose times a message names
 MUCH_LARGER = 5.0  # factor on the jump of the replay: a larger one of the log is that of a spike
-MOST_SPANS = 3  # in which a command sticks
+MOST_SPANS = 3  # largest number of spans in which a command sticks
 
 
 def rate_hint(command: Column, sample_time: float) -> Hint | None:

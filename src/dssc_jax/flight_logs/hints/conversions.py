@@ -70,7 +70,7 @@ CONVERSIONS = (
 RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
 SAME_MULTIPLE = 1.05  # factor between two multiples: closer, they are one, as 100 and 102
-LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
+LEAST_FACTOR = 0.02  # least difference of a multiple from 1 that is reported
 LARGE_MULTIPLE = 3.0  # of its reference that an output follows late
 LATE_SHARE = 0.1  # of the samples by which it may be late
 LATE_SIZE = 0.3  # relative difference of its root mean square from a multiple of it
@@ -323,7 +323,7 @@ def reference_conversion(
 def is_same_reference(logged: np.ndarray, reference: np.ndarray) -> bool:
     """Whether a logged reference is the study's.
 
-    It may differ at few samples, none next to another, where an edge falls to the sample before or after.
+    The references may differ at a few single samples, where an edge falls to the sample before or after.
 
     Args:
         logged: Values, NaN where missing, shape (samples,).

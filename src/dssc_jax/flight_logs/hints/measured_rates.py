@@ -11,8 +11,8 @@ from dssc_jax.flight_logs.hints.replayed_columns import DESCRIBED
 from dssc_jax.flight_logs.reading.reader import forward_filled, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
 
-LEAST_SCALE = 0.01  # difference from 1 that is told
-LEAST_OFFSET = 0.02  # of the rate's root mean square
+LEAST_SCALE = 0.01  # least difference of a scale from 1 that is reported
+LEAST_OFFSET = 0.02  # least offset that is reported, as a share of the rate's root mean square
 
 
 class MendedRate(NamedTuple):

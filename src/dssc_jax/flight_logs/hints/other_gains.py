@@ -1,4 +1,4 @@
-"""Flights with another value of one number of the analysed controller: the factor by which it differs.
+"""Flights with another value of one number of the analysed controller, and the factor by which that value differs.
 
 Each number of the controller is tried alone. With the value that flew, the controller gives the logged command for the
 logged measurements exactly. So only a small difference may be left: another number that acts alike leaves more.
@@ -17,11 +17,11 @@ from dssc_jax.flight_logs.hints.references import median_values
 from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
-LARGEST_FACTOR = 4.0  # of a number, and its inverse
+LARGEST_FACTOR = 4.0  # largest factor of a number that is tried, and inverse of the least
 COARSE = 17  # factors that are tried first
 LEFT = 0.03  # share of what the command varies that may be left
 FEWER = 0.2  # share of the difference of the commands that may be left
-LEAST_DIFFERENCE = 0.02  # of the factor from 1
+LEAST_DIFFERENCE = 0.02  # least difference of the factor from 1 that is reported
 CLEARLY = 0.5  # share of what the next best number leaves: less, and it is that number
 
 

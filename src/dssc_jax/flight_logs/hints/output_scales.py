@@ -18,7 +18,7 @@ from dssc_jax.flight_logs.signal_warnings import Hint
 LARGEST = 1e100  # difference of two commands: squares of larger ones overflow
 WINDOW = 0.5  # s over which differences are averaged, longer than the memory of noise of y in a derivative
 LEAST_WINDOWS = 16
-LEAST_DIFFERENCE = 0.01  # of the factor from 1
+LEAST_DIFFERENCE = 0.01  # least difference of the factor from 1 that is reported
 DEVIATIONS = 6.0  # least distance of the factor from 1, in its standard deviations
 EXPLAINED = 0.3  # largest share of the averaged difference that another reference leaves
 CLEARLY = 0.5  # share of what another cause leaves: less, and the factor is the better explanation

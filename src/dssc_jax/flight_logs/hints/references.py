@@ -25,7 +25,7 @@ from dssc_jax.study import Study
 
 USUAL = 0.9
 """Share of the values of a rate that tell whether it is a slope; the largest differences may be damage of the log."""
-OTHER = 0.1  # share of a reference's range: a larger difference is told, though nothing explains it
+OTHER = 0.1  # share of a reference's range: a larger difference is reported, though nothing explains it
 RATE_REMEDY = (
     "its column may be another signal's. If the reference is a record whose time stamps jitter, its slope is rough: "
     "give it the log's rate, by rate_column and rate_file"

@@ -23,7 +23,7 @@ TURNING = 0.1  # share of its changes with another sign than the one before: few
 CHANCE = 5e-3  # probability of as many equal rows by rounding
 MOST_DECIMALS = 16
 SAME_STEP = 0.02  # of a step: closer, a value is a multiple of it
-NAMED = 3  # rows whose times are told
+NAMED = 3  # rows whose times are reported
 
 
 def common_rows(columns: Mapping[str, Column]) -> tuple[np.ndarray, np.ndarray] | None:

@@ -18,7 +18,7 @@ from dssc_jax.flight_logs.signal_warnings import Hint
 
 EXPLAINED = 0.1  # share of what the command varies that may be left
 FEWER = 0.2  # share of the difference of the commands that may be left
-LEAST_STRETCH = 0.003  # of the times: less is not told
+LEAST_STRETCH = 0.003  # least difference of a stretch of the times from 1 that is reported
 POINTS = 81  # stretches that are tried first
 
 

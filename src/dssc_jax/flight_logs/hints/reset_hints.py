@@ -1,4 +1,4 @@
-"""What a comparison or a fit says of a log's estimator: its resets, and the spans in which it was invalid."""
+"""The hints of a comparison or a fit about a log's estimator: its resets, and the spans in which it was invalid."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from dssc_jax.flight_logs.reading.resets import Reset, reset_list
 from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
-TRIFLE = 1e-3  # m, m/s or rad: a smaller jump that the log states is not told
+TRIFLE = 1e-3  # m, m/s or rad: a smaller jump that the log states is not reported
 LARGE_SPEED = 0.1  # m/s: a larger jump of a velocity moves the vehicle, as its loops follow the estimate
 
 

@@ -16,7 +16,7 @@ LONG_GAP = 10.0
 """Multiple of a topic's usual interval: a longer time without a message is told."""
 LEAST_MESSAGES = 20  # of a topic whose interval is usual
 STEADY = 0.5  # least share of the time outside of the longest gap that messages at the usual interval fill
-LATE = 10.0  # s
+LATE = 10.0  # s, see LATE_SHARE
 LATE_SHARE = 0.1
 """Share of a log's length. A topic's last message is stray if it is later than the log's end by more than both."""
 MOST_TOGETHER = 4  # rows in a row that may be left out
