@@ -27,13 +27,13 @@ REFERENCE_TOLERANCE = 1e-3  # share of a reference's size: resolution and roundi
 class ChannelReplay:
     """The analysed differentiator and controller of a channel, compiled once for any number of replays.
 
-    They start from the first sample, as after a reset. Uncertain gains have the medians of their laws.
+    Both start at the first sample, as after a reset. Numbers with laws have the medians of their laws.
 
     Args:
         study: The study, without a sweep.
         index: Position of the channel.
         reference: The study's reference with two derivatives, shape (3, samples).
-        sample_time: Time between two samples for which the software integrates and differentiates [s]; None: T_s.
+        sample_time: Time between two samples that the software believes, for integrals and derivatives [s]; None: T_s.
     """
 
     def __init__(self, study: Study, index: int, reference: np.ndarray, sample_time: float | None = None) -> None:
@@ -46,7 +46,12 @@ class ChannelReplay:
     def _commands(
         self, columns: tuple[Measurement, ReferencePoint], numbers: Mapping[str, jax.Array | float]
     ) -> jax.Array:
-        """The command at each sample; every field of the columns has the shape (samples,)."""
+        """The command at each sample, shape (samples,), in JAX.
+
+        Args:
+            columns: Measurements and references, every field of shape (samples,).
+            numbers: Values of numbers that replace the study's or the medians of their laws, by name.
+        """
         loop = replace(self.study.loop, sample_time=self.sample_time)
         params = self.study.params({**median_values(self.study), **numbers})
 
@@ -67,7 +72,7 @@ class ChannelReplay:
         Args:
             readings: Measured output and its derivative, shape (2, samples).
             references: Desired output with two derivatives, shape (3, samples).
-            numbers: Numbers of the study that have other values.
+            numbers: Values of numbers that replace the study's or the medians of their laws, by name.
 
         Returns:
             The command u + u_n, shape (samples,).
@@ -86,11 +91,11 @@ class ChannelReplay:
     def command(self, logged: Mapping[str, np.ndarray], numbers: Mapping[str, float] = NO_NUMBERS) -> np.ndarray | str:
         """The command for a channel's sampled log, or why there is none.
 
-        The study's reference fills in for the log's, if the logged reference agrees with it.
+        If the log has no reference, or that of the study, the study's signals replace those that the log lacks.
 
         Args:
             logged: Signals by their names without the channel, NaN where missing, each of shape (samples,).
-            numbers: Numbers of the study that have other values.
+            numbers: Values of numbers that replace the study's or the medians of their laws, by name.
 
         Returns:
             The command, shape (samples,), or the reason in words.
@@ -148,12 +153,13 @@ def replayed_channel(
 ) -> np.ndarray | str:
     """The command of the analysed controller for a channel's sampled log, or why there is none.
 
-    The study's reference, of shape (3, samples), fills in for the log's, if the logged reference agrees with it.
+    If the log has no reference, or that of the study, the study's reference and its derivatives, shape (3, samples),
+    replace those that the log lacks.
     """
     return ChannelReplay(study, index, reference).command(logged)
 
 
 def is_close(logged: np.ndarray, reference: np.ndarray) -> bool:
-    """Whether a logged reference is that of the study."""
+    """Whether a logged reference is that of the study, up to resolution and rounding; both of shape (samples,)."""
     largest = max(float(np.abs(reference).max()), float(np.ptp(reference)), 1e-300)
     return float(np.abs(logged - reference).max()) <= REFERENCE_TOLERANCE * largest

@@ -31,7 +31,15 @@ class Signal(NamedTuple):
 def drawn_curves(
     study: Study, signals: list[Signal], samples: int, stride: int, progress: ProgressCallback | None
 ) -> np.ndarray:
-    """The signals of every draw, shape (draws, signals, times)."""
+    """Simulate the signals of every draw, shape (draws, signals, times).
+
+    Args:
+        study: The study.
+        signals: The signals.
+        samples: Number of samples of each simulation.
+        stride: Samples from one time of the curves to the next.
+        progress: Called with the number of draws done, and that of all draws.
+    """
     draws = study.config.draws
     curves = np.empty((draws, len(signals), -(-samples // stride)))
     for draw, channels in enumerate(curves_of_draws(study, samples, stride)):
@@ -45,7 +53,16 @@ def drawn_curves(
 def compared_dataset(
     study: Study, signals: list[Signal], stride: int, tested: np.ndarray, replayed: np.ndarray, curves: np.ndarray
 ) -> xr.Dataset:
-    """The dataset of a comparison: the log and its replay, shape (signals, times), and the draws' curves."""
+    """The dataset of a comparison.
+
+    Args:
+        study: The study.
+        signals: The compared signals.
+        stride: Samples from one compared time to the next.
+        tested: The logged signals, NaN where missing, shape (signals, times).
+        replayed: The commands of the analysed controller, NaN for other signals, shape (signals, times).
+        curves: The signals of the draws, shape (draws, signals, times).
+    """
     columns = {
         "logged": (tested, "logged value"),
         "commanded": (replayed, "command of the analysed controller"),
@@ -72,7 +89,11 @@ def compared_dataset(
 
 
 def pointwise_quantiles(curves: np.ndarray) -> dict[str, np.ndarray]:
-    """Range and quantiles of the draws that have not ended, pointwise; curves of shape (draws, signals, times)."""
+    """Range and quantiles, at each time, of the draws that have not ended, by name, shape (signals, times) each.
+
+    Args:
+        curves: The signals of the draws, not finite once a draw has ended, shape (draws, signals, times).
+    """
     finite = np.where(np.isfinite(curves), curves, np.nan)
     levels = {"lowest": 0.0, **DRAWN_LEVELS, "highest": 1.0}
     with warnings.catch_warnings():
@@ -82,9 +103,13 @@ def pointwise_quantiles(curves: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def output_hints(study: Study, dataset: xr.Dataset) -> dict[str, Hint]:
-    """Logged outputs that look like the draws' median in another unit, sign or channel, with the words for it.
+    """Hints about logged outputs that look like the draws' median in another unit, sign or channel, by signal.
 
-    Where the draws' median is large, such an output is beyond all draws for most of the time.
+    An output gets a hint only if it is beyond all draws at most of the times at which the draws' median is large.
+
+    Args:
+        study: The study.
+        dataset: The dataset of the comparison, by :func:`compared_dataset`.
     """
     logged = {str(name) for name in dataset["signal"].values}
     names = [signal_name(channel, "y") for channel in study.loop.channels]

@@ -1,4 +1,4 @@
-"""A logged flight beside the analysed set: replayed through the controller, and laid over the study's draws.
+"""A logged flight compared with the analysed set: replayed through the controller, and laid over the study's draws.
 
 The test is one of exchangeable curves (:mod:`dssc_jax.statistics.exchangeable`): its statistic is fixed in advance, the
 rank of the largest standardised departure in each logged signal, and its p-value is exact for any time series.
@@ -162,7 +162,7 @@ class LogComparison(Analysis):
         return None if np.isnan(statistics[-1]) else rank_p_value(statistics)
 
     def without_spread(self) -> dict[str, float]:
-        """Logged signals that are the same in all draws, with the log's largest distance from them."""
+        """The log's largest distance from each signal that is the same in all draws, by signal."""
         largest_distances = {}
         for name in self.dataset["signal"].values:
             signal = self.dataset.sel(signal=name)
@@ -174,9 +174,10 @@ class LogComparison(Analysis):
         return largest_distances
 
     def decisive(self) -> tuple[str, float] | None:
-        """The signal in which the fewest draws depart as far as the log, and the time [s] at which the log does so.
+        """The signal in which the fewest draws depart as far as the log, and the time [s] of the log's departure.
 
-        Of several such signals it is the one with the largest departure. None without a p-value.
+        If several signals have the fewest such draws, the one with the largest departure counts. None without a
+        p-value.
         """
         if self.p_value is None:
             return None
@@ -251,7 +252,7 @@ class LogComparison(Analysis):
         )
 
     def signal_answer(self, name: str) -> SignalAnswer:
-        """Where a signal lies among the draws, and how far the analysed controller's command is from it."""
+        """Where a logged signal lies among the draws; for a command, also how far the analysed controller's differs."""
         signal = self.dataset.sel(signal=name)
         time = self.dataset["t"].values
         logged = signal["logged"].values
@@ -273,12 +274,17 @@ class LogComparison(Analysis):
         )
 
     def unit(self, name: str) -> str:
-        """The unit of a signal."""
+        """The unit of the signal ``name``."""
         return signal_unit(self.study, name)
 
 
 def start_of_last_excursion(time: np.ndarray, is_outside: np.ndarray) -> float | None:
-    """Time from which a signal is outside without interruption to its end; None if it ends inside."""
+    """Time from which on a signal is outside without interruption to its end [s]; None if it ends inside.
+
+    Args:
+        time: Times of the signal's values [s], shape (n,).
+        is_outside: Whether each value is outside the range of the draws, shape (n,).
+    """
     if not is_outside.size or not is_outside[-1]:
         return None
     inside_rows = np.flatnonzero(~is_outside)
@@ -288,15 +294,16 @@ def start_of_last_excursion(time: np.ndarray, is_outside: np.ndarray) -> float |
 def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | None = None) -> LogComparison:
     """Replay a logged flight through the analysed controller, and lay it over the study's draws.
 
-    p = (1 + number of draws at least as extreme)/(n + 1). A curve is extreme where few others depart as far from the
-    median at any time in one of the logged signals. p is exact, for any law of the curves, if the flight has the law of
-    the draws. Values may be missing in the log only for reasons that have nothing to do with the flight.
+    The p-value is p = (1 + number of draws at least as extreme)/(n + 1) for n draws. A curve is extreme if few others
+    depart as far from the median at any time in one of the logged signals. p is exact, for any law of the curves, if
+    the flight has the law of the draws. Values may be missing in the log only for reasons that have nothing to do with
+    the flight.
 
     Args:
         study: The study that analysed the flight: its reference, initial state and sensors are part of what is tested.
             Its sweep is ignored; draws are independent.
         log: The flight, see :func:`dssc_jax.read_log`.
-        progress: Called with the draws done.
+        progress: Called with the number of draws done, and that of all draws.
 
     Raises:
         ConfigError: draws are not independent, or the log has hardly any sample within the study's duration.

@@ -89,7 +89,13 @@ def next_flight_figure(analysis: "NextFlight") -> Figure:
 
 
 def draw_departures(ax: Axes, draws: np.ndarray, flights: np.ndarray) -> None:
-    """Draw the share of draws above each departure, and the flights' departures."""
+    """Draw the share of draws above each departure, and the flights' departures.
+
+    Args:
+        ax: The axes to draw on.
+        draws: Largest departures of the draws, shape (draws,).
+        flights: Largest departures of the flights, shape (flights,).
+    """
     ordered = np.sort(draws[np.isfinite(draws)])
     share = 1.0 - np.arange(len(ordered)) / len(draws)
     ax.step(ordered, share, where="pre", color=BLUE, label="share of draws at or above")
@@ -101,7 +107,13 @@ def draw_departures(ax: Axes, draws: np.ndarray, flights: np.ndarray) -> None:
 
 
 def draw_signal(ax: Axes, signal: xr.Dataset, answer: "SignalAnswer") -> None:
-    """Draw one signal over the bands of the draws."""
+    """Draw one signal over the bands of the draws.
+
+    Args:
+        ax: The axes to draw on.
+        signal: The dataset of the comparison for one signal.
+        answer: The position of that signal in the draws.
+    """
     time = signal["t"].values
     for low, high, alpha, text in BANDS:
         x, lower, upper = envelope(time, signal[low].values, signal[high].values)

@@ -1,8 +1,8 @@
 """What logged flights tell about the next one and the study, assuming only that flights are exchangeable.
 
-Half of the draws give the middle and the spread by which curves are measured; they are compared with nothing. The
-departure of a flight is then a number of this flight alone, and so is every metric. Ranks do the rest
-(:mod:`dssc_jax.statistics.conformal`).
+Half of the draws give the middle and the spread by which curves are measured, and are not used for anything else. So
+the departure of a flight depends on this flight alone, and so does every metric. The statements follow from ranks of
+these numbers (:mod:`dssc_jax.statistics.conformal`).
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ from dssc_jax.statistics.conformal import (
 from dssc_jax.statistics.exchangeable import Yardstick
 from dssc_jax.study import Study
 
-SHORT = 0.9  # share of the study, or of the longest log: a shorter log is told
+SHORT = 0.9  # share of the study, or of the longest log: a shorter log is reported
 PROBABILITY = 0.9
 SHARES = (0.1, 0.2, 0.5)
 """Shares of flights beyond the draws' line for which the number of flights is told."""
@@ -121,7 +121,7 @@ class NextFlight(Analysis):
 
     @property
     def rank(self) -> int | None:
-        """The rank of the flight that gives the limits."""
+        """The rank, in ascending order, of the flight that gives the limits; None: too few flights."""
         return conformal_rank(len(self.logs), self.probability)
 
     @property
@@ -144,12 +144,12 @@ class NextFlight(Analysis):
 
     @property
     def metric_names(self) -> list[str]:
-        """The metrics of the flights."""
+        """The names of the flights' metrics in the dataset."""
         names = map(str, self.dataset.data_vars)
         return [name for name in names if f"{name}_of_draw" in self.dataset and name != "departure"]
 
     def limit(self, name: str) -> float | None:
-        """The limit of a number of the flights that the next one keeps; None: too few flights, or it is infinite."""
+        """The limit that the next flight keeps for the number ``name``; None: too few flights, or it is infinite."""
         if self.rank is None:
             return None
         limit = float(np.sort(self.dataset[name].values)[self.rank - 1])
@@ -223,7 +223,7 @@ def next_flight(
         logs: The flights, see :func:`dssc_jax.read_log`; at least one.
         probability: Least probability that the next flight lies in the set, in (0, 1). It needs at least p/(1 - p)
             flights.
-        progress: Called with the draws done.
+        progress: Called with the number of draws done, and that of all draws.
 
     Raises:
         ConfigError: An argument is out of range, two logs hold the same flight, draws are not independent or too few,
@@ -277,8 +277,13 @@ def next_flight(
 def require_comparable(study: Study, logs: Sequence[FlightLog], probability: float) -> None:
     """Require different flights, enough independent draws, and a probability in (0, 1).
 
+    Args:
+        study: The study.
+        logs: The flights.
+        probability: Least probability that the next flight lies in the set.
+
     Raises:
-        ConfigError: One of these does not hold.
+        ConfigError: One of these requirements does not hold, or there is no flight.
     """
     if not 0.0 < probability < 1.0:
         raise ConfigError("probability", f"must lie in (0, 1), got {probability:g}")
@@ -292,7 +297,11 @@ def require_comparable(study: Study, logs: Sequence[FlightLog], probability: flo
 
 
 def short_log(study: Study, logs: Sequence[FlightLog]) -> FlightLog | None:
-    """The shortest log, if it ends far before the study or the longest log; no flight is compared beyond it."""
+    """The shortest log, if it ends clearly before the study and the longest log; no flight is compared beyond its end.
+
+    Returns:
+        None if the shortest log covers the share ``SHORT`` of the study or of the longest log.
+    """
     lengths = [log.end - log.start for log in logs]
     duration = study.loop.sample_time * study.loop.steps
     shortest = min(lengths)
@@ -315,8 +324,14 @@ def logged_curves(
 ) -> tuple[list[Signal], np.ndarray, np.ndarray]:
     """The signals that all logs have, their values, and the desired outputs of each flight.
 
-    The values have the shape (flights, signals, times). The desired outputs, as logged or else those of the study, have
-    the shape (flights, channels, times).
+    Args:
+        study: The study.
+        logs: The flights.
+        references: The study's references with two derivatives, shape (channels, 3, times).
+
+    Returns:
+        The signals; their values, NaN where missing, shape (flights, signals, times); and the desired outputs, as
+        logged or else those of the study, shape (flights, channels, times).
     """
     channels = study.loop.channels
     signals_by_flight = []
@@ -340,7 +355,13 @@ def logged_curves(
 
 
 def band_columns(yardstick: Yardstick, flights: np.ndarray, is_finite: np.ndarray) -> dict[str, Column]:
-    """The columns of the dataset along signals and times; the band is filled in by :func:`with_band`."""
+    """The columns of the dataset along signals and times; the band is NaN until :func:`with_band` fills it in.
+
+    Args:
+        yardstick: Middle and spread of half of the draws.
+        flights: The signals of the flights, shape (flights, signals, times).
+        is_finite: Whether all flights have a value, shape (signals, times).
+    """
     missing = np.full(is_finite.shape, np.nan)
     lowest = np.where(is_finite, flights.min(axis=0), np.nan)
     highest = np.where(is_finite, flights.max(axis=0), np.nan)

@@ -50,11 +50,11 @@ REMEDY = (
 
 
 class ChannelCurves(NamedTuple):
-    """A channel's signals in a log: the sensor's readings and the command; of one draw, shape (samples,).
+    """The signals of a channel that a log may have, simulated in one draw, each of shape (samples,).
 
     Args:
         y: Measured output; an angle lies within pi of its reference.
-        y_dot: Its measured derivative.
+        y_dot: Measured derivative of the output.
         u_total: The command u + u_n (11).
     """
 
@@ -82,8 +82,8 @@ def replayed_command(time: np.ndarray, logged: np.ndarray, command: np.ndarray) 
 
     Args:
         time: Time of each sample [s], shape (samples,).
-        logged: The logged command, NaN where it is missing.
-        command: The analysed controller's command, NaN where it is missing.
+        logged: The logged command, NaN where it is missing, shape (samples,).
+        command: The analysed controller's command, NaN where it is missing, shape (samples,).
     """
     difference = command - logged
     is_compared = np.isfinite(difference)
@@ -99,7 +99,7 @@ def replayed_command(time: np.ndarray, logged: np.ndarray, command: np.ndarray) 
 
 
 def signal_unit(study: Study, name: str) -> str:
-    """The unit of a logged signal."""
+    """The unit of a logged signal by its name; empty if the comparison does not have such a signal."""
     for channel, units in zip(study.loop.channels, study.units, strict=True):
         for quantity, unit in SIGNAL_UNITS.items():
             if name == signal_name(channel, quantity):
@@ -108,7 +108,7 @@ def signal_unit(study: Study, name: str) -> str:
 
 
 class LogReplay(NamedTuple):
-    """A log at the study's samples, the commands of the analysed controller for it, and where both disagree.
+    """A log at the study's samples, the commands of the analysed controller for it, and why both may disagree.
 
     Args:
         samples: Samples of the study up to the log's end.
@@ -117,8 +117,8 @@ class LogReplay(NamedTuple):
         held_samples: Samples of the replay at which the log lacks a signal, and its last value counts; by signal.
         not_replayed: Why a channel's log was not replayed, by channel.
         references: Largest difference between the logged and the study's reference, by channel; empty if not logged.
-        rates: Largest difference between their derivatives, by channel; empty if not logged.
-        hints: Why they may disagree.
+        rates: Largest difference between the derivatives of these references, by channel; empty if not logged.
+        hints: Why log and study may disagree.
         dropped: Rows that are left out because their times fall, by signal.
     """
 
@@ -133,7 +133,7 @@ class LogReplay(NamedTuple):
     dropped: dict[str, int]
 
     def differences(self, sample_time: float) -> dict[str, ReplayedCommand]:
-        """The differences of the replayed commands from the logged ones, by signal."""
+        """The differences of the replayed commands from the logged ones, by signal; ``sample_time`` is in s."""
         times = sample_time * np.arange(self.samples)
         differences = {}
         for name, command in self.commands.items():
@@ -145,11 +145,11 @@ class LogReplay(NamedTuple):
 
     @property
     def warnings(self) -> tuple[SignalWarning, ...]:
-        """The hints as warnings."""
+        """The hints as warnings, causes before effects."""
         return causes_first(signal_warnings(self.hints.all()))
 
     def summary(self, study: Study) -> dict[str, object]:
-        """For JSON."""
+        """The replay, the differences and the warnings as plain data for JSON."""
         differences = self.differences(study.loop.sample_time)
         return {
             "replay": {
@@ -172,7 +172,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     Args:
         study: The study, without a sweep.
         log: The flight.
-        commands: Whether its commands are replayed; else only its references are compared.
+        commands: Whether the analysed controller is replayed; if not, only outputs and references are checked.
     """
     loop = study.loop
     samples = samples_within(log, loop.sample_time, loop.steps)
@@ -223,7 +223,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
 
 
 def logged_channels(study: Study, log: FlightLog, references: np.ndarray) -> list[LoggedChannel]:
-    """The channels of a log.
+    """The channels of a log with their signals at the study's samples.
 
     Args:
         study: The study.
@@ -252,7 +252,7 @@ def require_same_signals(log: FlightLog, replay: LogReplay) -> None:
     """Require that a log has an output, and that no signal is the study's in another unit, sign or column.
 
     Raises:
-        ConfigError: it has none, or one is.
+        ConfigError: The log has no output, or a signal is in another unit, sign or column.
     """
     if not any(name.endswith("y") for name in log.columns):
         names = ", ".join(log.columns)
@@ -268,9 +268,14 @@ def require_same_signals(log: FlightLog, replay: LogReplay) -> None:
 
 
 def curves_of_draws(study: Study, samples: int, stride: int = 1) -> Iterator[DrawCurves]:
-    """Simulate every draw of a study: the curves of each channel, with every ``stride``-th of the samples.
+    """Simulate the draws of a study one after another, and yield the curves of each channel.
 
-    A draw that has ended early is NaN from then on; none ends because it has settled.
+    A draw that has ended early is NaN from then on. No draw ends because it has settled.
+
+    Args:
+        study: The study.
+        samples: Number of samples of each simulation.
+        stride: Of the samples, every ``stride``-th is kept.
     """
     program = recorded_lane(study, samples, stride)
     draws = study.config.draws
@@ -283,7 +288,13 @@ def curves_of_draws(study: Study, samples: int, stride: int = 1) -> Iterator[Dra
 
 
 def recorded_lane(study: Study, samples: int, stride: int) -> Callable[[dict[str, Scalar], jax.Array], DrawCurves]:
-    """The program of a draw: (numbers by name, draw index) -> the curves of each channel."""
+    """The program of a draw: (numbers by name, draw index) -> the curves of each channel.
+
+    Args:
+        study: The study.
+        samples: Number of samples of the simulation.
+        stride: Of the samples, every ``stride``-th is kept.
+    """
     loop = replace(study.loop, settled=None)
 
     def lane(values: dict[str, Scalar], index: jax.Array) -> DrawCurves:

@@ -168,23 +168,24 @@ class FlightWarning(SignalWarning):
 
 
 def possible_causes(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
-    """The warnings of what may leave a residual: faults of a log, and limits that the study lacks."""
+    """The warnings that may explain a residual: faults of a log, and limits of the command that the study lacks."""
     return tuple(warning for warning in warnings if warning.code in FAULTS or warning.code == "limited-command")
 
 
 def signal_warnings(hints: Mapping[str, Hint]) -> tuple[SignalWarning, ...]:
-    """The warnings for hints, which say by signal or number what is wrong with it."""
+    """Turn hints, by signal or number, into warnings whose texts begin with that name."""
     return tuple(SignalWarning(name, hint.code, f"{name} {hint.text}") for name, hint in hints.items())
 
 
 def causes_first(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
     """Order warnings: faults of the log, explanations of a residual, effects as in :data:`EFFECTS`; else as they are.
 
-    A change of a command that the log lacks follows from commands that are logged too rarely.
+    A change of a command where the log lacks it comes after the other faults, since commands that are logged too rarely
+    cause it.
     """
 
     def rank(warning: SignalWarning) -> int:
-        """Place of a warning: of a fault of the log, of a change that it lacks, of an explanation, of an effect."""
+        """Place of a warning: 0 a fault of the log, 1 a command's change in a gap, 2 an explanation, from 3 effects."""
         if warning.code in EFFECTS:
             return EFFECTS.index(warning.code) + 3
         if warning.code in EXPLANATIONS:
@@ -195,7 +196,10 @@ def causes_first(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]
 
 
 def fault_text(warnings: Iterable[SignalWarning]) -> str:
-    """That a log has faults which a delay or a part of a fit may only resemble; empty if it has none."""
+    """A sentence that names a log's faults, which a delay or a part of a fit may only resemble; empty if it has none.
+
+    Faults of references do not count, because a fit of logged commands does not use references.
+    """
     faults = {}
     for warning in warnings:
         if warning.code in FAULTS and not warning.signal.endswith(("y_ref", "y_ref_dot")):
@@ -207,7 +211,7 @@ def fault_text(warnings: Iterable[SignalWarning]) -> str:
 
 
 def hedged(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
-    """The warnings; delays and parts of a log that has another fault say so."""
+    """The warnings; if the log has a fault, those about delays and parts add that they may only resemble the fault."""
     all_warnings = list(warnings)
     text = fault_text(all_warnings)
     hedged_warnings = []
@@ -218,10 +222,10 @@ def hedged(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
 
 
 def with_named_causes(warning: SignalWarning, fitted: Iterable[SignalWarning]) -> SignalWarning:
-    """A warning of a replay; where it leaves the cause of a command open, with the causes that a fit names.
+    """A warning of a replay; if it leaves the cause of a command open, the causes that a fit names are added.
 
     Args:
-        warning: The warning.
+        warning: The warning of the replay.
         fitted: The warnings of the fit.
     """
     channel = warning.signal.removesuffix("u_total")
@@ -233,10 +237,10 @@ def with_named_causes(warning: SignalWarning, fitted: Iterable[SignalWarning]) -
 
 
 def joined_warnings(of_replay: Iterable[SignalWarning], of_fit: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
-    """The warnings of a replay and a fit, causes first; what both tell of a signal is told as the fit has it.
+    """The warnings of a replay and a fit, causes first; if both have a signal and code in common, that of the fit.
 
-    A fit tells a constant in the command where the vehicle did not answer it. So it is the first of the causes, and no
-    effect of another one.
+    A fit warns of a constant in the command only if the vehicle did not answer it. So this warning comes first, as a
+    cause and not as an effect.
     """
     fitted = tuple(of_fit)
     told = {(warning.signal, warning.code) for warning in fitted}

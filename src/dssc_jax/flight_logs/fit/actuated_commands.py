@@ -1,4 +1,4 @@
-"""Commands behind an actuator, by its model: what the plant gets on average over each sample."""
+"""The mean of an actuator's output over each sample, computed with the actuator's model."""
 
 from collections.abc import Callable
 from functools import cache, partial
@@ -13,20 +13,21 @@ from dssc_jax.core.sampled_linear import Forcing, LinearSystem, hold, series
 from dssc_jax.core.signals import Params, Scalar, State
 from dssc_jax.engine.plain import plain_options
 
+# In series behind an actuator, its state is the integral of the actuator's output.
 INTEGRATOR = LinearSystem(a=((0.0,),), b=(1.0,), c=(1.0,), d=0.0)
 
 
 def actuated_commands(model: Unmodelled, params: Params, commands: np.ndarray, sample_time: float) -> np.ndarray:
-    """The means over each sample of an actuator's output, which begins at rest, for commands that are held.
+    """Compute the mean of an actuator's output over each sample. It begins at rest, and each command is held.
 
     Args:
-        model: The actuator: without a state, linear, or with the moments of its output.
-        params: Its parameters.
-        commands: The commands, shape (n,).
+        model: The actuator: it has no state, is linear, or declares the moments of its output.
+        params: Parameters of the actuator.
+        commands: The commands, each held over one sample [u], shape (n,).
         sample_time: Time between two samples [s].
 
     Returns:
-        The means, shape (n,).
+        The means [u], shape (n,).
     """
     with arithmetic():
         return np.asarray(compiled_means()(model, params, jnp.asarray(commands, float), sample_time), float)
@@ -39,7 +40,7 @@ def compiled_means() -> Callable[..., jax.Array]:
 
 
 def means(model: Unmodelled, params: Params, commands: jax.Array, sample_time: Scalar) -> jax.Array:
-    """As :func:`actuated_commands`, in JAX."""
+    """Compute what :func:`actuated_commands` returns, from the same arguments, in JAX."""
     advance = partial(linear_sample if model.linear else sample, model, params, sample_time)
     return jax.lax.scan(advance, as_arrays(model.init(params)), commands)[1]
 
@@ -47,7 +48,15 @@ def means(model: Unmodelled, params: Params, commands: jax.Array, sample_time: S
 def sample(
     model: Unmodelled, params: Params, sample_time: Scalar, state: State, command: Scalar
 ) -> tuple[State, jax.Array]:
-    """The actuator's state after a sample, and the mean of its output over it."""
+    """Advance an actuator by one sample; return its next state, and the mean of its output over the sample.
+
+    Args:
+        model: The actuator.
+        params: Parameters of the actuator.
+        sample_time: Time between two samples [s].
+        state: State of the actuator at the beginning of the sample.
+        command: The command, held over the sample [u].
+    """
     if model.moments is None:  # an output that is constant within the sample
         mean = model.output(params, state, command)
     else:
@@ -58,7 +67,10 @@ def sample(
 def linear_sample(
     model: Unmodelled, params: Params, sample_time: Scalar, state: State, command: Scalar
 ) -> tuple[State, jax.Array]:
-    """As :func:`sample` of a linear actuator: the exact integral of its output over the sample tells the mean."""
+    """Do the same as :func:`sample` for a linear actuator.
+
+    The mean is the exact integral of the output over the sample, divided by the sample time.
+    """
     assert model.linear is not None
     system = series(model.linear(params), INTEGRATOR)
     leaves, structure = jax.tree.flatten(state)

@@ -1,7 +1,8 @@
-"""Logs that begin under a command: the actuator has followed it for a while, and the study's begins at rest.
+"""Logs whose first command is not 0: the flown actuator has followed it already, and the study's begins at rest.
 
-Until the study's actuator has caught up, the plant lacks that force. A linear actuator at rest in its equilibrium under
-the first command is one at rest under 0, with a constant force beside it.
+Until the study's actuator has caught up, the simulated plant lacks a force. A linear actuator that begins in its
+equilibrium under the first command acts like one that begins at rest and gets the commands less the first one, beside
+a constant force: the steady gain times the first command.
 """
 
 from dataclasses import replace
@@ -21,7 +22,11 @@ from dssc_jax.study import Study
 
 
 def steady_gain(study: Study) -> float | None:
-    """The steady output of the actuator over its constant input, in a study of one channel; None: it is not linear."""
+    """The ratio of steady output to constant input of the actuator, in a study of one channel.
+
+    Returns:
+        None if the actuator is not linear, has no state, or integrates its input.
+    """
     (model,) = study.loop.unmodelled
     (params,) = study.params(median_values(study)).unmodelled
     if model.linear is None or model.advance is not None:  # the latter has other elements before its linear part
@@ -38,15 +43,15 @@ def prediction_from_equilibrium(predict: Prediction, first: float, gain: float) 
     """The prediction with an actuator that begins in its equilibrium under a command.
 
     Args:
-        predict: The prediction with one that begins at rest.
-        first: The command [u].
+        predict: The prediction with an actuator that begins at rest.
+        first: The command of the equilibrium [u].
         gain: Steady gain of the actuator.
     """
 
     def prediction(
         values: np.ndarray, commands: np.ndarray, forces: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The prediction for the deviations from the command, beside the force of the actuator under it."""
+        """Predict for the commands less the first one, with the steady output under the first one as a force."""
         force = gain * first + (np.zeros(commands.shape[1]) if forces is None else forces)
         return predict(values, commands - first, force)
 
@@ -54,12 +59,16 @@ def prediction_from_equilibrium(predict: Prediction, first: float, gain: float) 
 
 
 def begun_actuator(problem: FitProblem, minimum: Minimum, results: list[Explained]) -> MendedCommand | None:
-    """The fit with an actuator that has followed the first command; None unless that leaves noise alone.
+    """Fit a log with an actuator that begins in its equilibrium under the first command.
 
     Args:
         problem: The problem, with the noise of the minimum.
-        minimum: The minimum.
+        minimum: The minimum with an actuator that begins at rest.
         results: How well the study describes each channel.
+
+    Returns:
+        None unless this lowers a doubtful residual to noise. None, too, if the first command is 0 or replayed, the
+        actuator has no steady gain, or the study has several channels.
     """
     is_doubtful = any(result.is_doubtful for result in results)
     log = problem.log
@@ -96,12 +105,12 @@ def begun_actuator(problem: FitProblem, minimum: Minimum, results: list[Explaine
 
 
 def moved_text(problem: FitProblem, minimum: Minimum, mended: Refit) -> str:
-    """The number that moves farthest, with both values, in words.
+    """The number that the first state of the actuator moves farthest, with both values, in words.
 
     Args:
-        problem: The problem.
-        minimum: Its minimum.
-        mended: The fit with the actuator.
+        problem: The problem with an actuator that begins at rest.
+        minimum: The minimum of that problem.
+        mended: The fit with an actuator that begins in its equilibrium.
     """
     moves = np.abs(mended.minimum.x - minimum.x)[problem.fitted]
     place = problem.fitted[int(np.argmax(moves))]

@@ -1,7 +1,8 @@
-"""Commands that a log lacks for a few samples while the outputs go on: their last value is held, and another one flew.
+"""Commands that a log lacks for a few samples while the outputs go on: the last value is held, but others flew.
 
-A row may be missing, or repeat the command before it. A limit or a slow controller repeats a command, too. So the
-flight tells: straight lines over these spans have to describe it far better than the held values.
+A row may be missing, or may repeat the command before it. A limit or a slow controller repeats commands, too, so that
+repeats alone prove nothing. Commands count as lacking only if straight lines over these spans describe the flight far
+better than held values.
 """
 
 from typing import NamedTuple
@@ -24,12 +25,12 @@ NAMED = 3  # spans that a message names
 
 
 class Dropout(NamedTuple):
-    """Samples of a command that repeat the one before them.
+    """A span of samples in which a command keeps the value from before the span.
 
     Args:
-        begin: The first of them.
-        end: The first sample after them, with another value.
-        change: Size of the change there.
+        begin: Index of the first sample in the span.
+        end: Index of the first sample after the span.
+        change: Size of the command's change at the end of the span [u].
     """
 
     begin: int
@@ -38,12 +39,16 @@ class Dropout(NamedTuple):
 
 
 def possible_dropouts(command: np.ndarray) -> list[Dropout]:
-    """The spans in which a command may be missing; none of a controller that is slow or rests.
+    """Find the spans in which a command may be missing: those in which it repeats its last value.
 
-    A command at its largest or smallest value is at a limit, and lacks nothing.
+    Repeats of the largest or smallest value do not count, because the command may be at a limit there.
 
     Args:
         command: The command, held where the log lacks it, shape (samples,).
+
+    Returns:
+        No span if the command repeats itself so often that the controller is slow. Long spans are left out, as the
+        controller rests there.
     """
     is_repeated = np.diff(command, prepend=np.nan) == 0.0
     is_repeated[is_repeated] = ~np.isin(command[is_repeated], (command.min(), command.max()))
@@ -56,7 +61,12 @@ def possible_dropouts(command: np.ndarray) -> list[Dropout]:
 
 
 def without_spans(command: np.ndarray, spans: list[Dropout]) -> np.ndarray:
-    """The command, NaN in the spans, shape (samples,)."""
+    """A copy of the command with NaN in the spans, shape (samples,).
+
+    Args:
+        command: The command, shape (samples,).
+        spans: The spans.
+    """
     remaining = command.copy()
     for span in spans:
         remaining[span.begin : span.end] = np.nan
@@ -64,11 +74,15 @@ def without_spans(command: np.ndarray, spans: list[Dropout]) -> np.ndarray:
 
 
 def dropout_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
-    """The doubt about commands that the log lacks for a few samples, with their times and the remedy.
+    """The doubt about commands that the log lacks for a few samples, with the times of these spans and the remedy.
 
     Args:
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
+
+    Returns:
+        One warning for each channel with such spans; none if straight lines over the spans do not describe the flight
+        clearly better, or the fit has estimated the lacking commands already.
     """
     if problem.log.freed is not None:
         return ()
@@ -102,7 +116,7 @@ def dropout_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning
 
 
 def refit_with_commands(problem: FitProblem, minimum: Minimum, commands: np.ndarray) -> Refit:
-    """The fit with other commands, from a minimum on, with the noise of its own residual."""
+    """The fit with other commands of shape (channels, samples), from a minimum on, with the noise of its residual."""
     refitted = with_log(problem, problem.log._replace(commands=commands))
     refitted.noises = list(problem.noises)
     refitted.variances = list(problem.variances)
@@ -110,7 +124,12 @@ def refit_with_commands(problem: FitProblem, minimum: Minimum, commands: np.ndar
 
 
 def matters(logged: Refit, changed: Refit) -> bool:
-    """Whether another fit has a smaller residual, and an estimate or much of the residual depends on it."""
+    """Whether changed commands lower the residual, and move an estimate far or explain a large part of the residual.
+
+    Args:
+        logged: The fit with the logged commands.
+        changed: The fit with the changed commands.
+    """
     ratios = []
     for readings in logged.problem.readings:
         ratios.append(changed.residual(readings.channel) / max(logged.residual(readings.channel), readings.floor**0.5))
@@ -121,7 +140,7 @@ def matters(logged: Refit, changed: Refit) -> bool:
 
 
 def spans_text(spans: list[Dropout], sample_time: float) -> str:
-    """The times of the spans with the largest changes, in words."""
+    """The times of the spans with the largest changes, and the number of the other spans, in words."""
     largest = sorted(spans, key=lambda span: -span.change)[:NAMED]
     times = []
     for span in sorted(largest):
@@ -131,7 +150,12 @@ def spans_text(spans: list[Dropout], sample_time: float) -> str:
 
 
 def fall_text(logged: Refit, changed: Refit) -> str:
-    """How far another fit lowers the residual of the channel that gains most, and the number that moves farthest."""
+    """How far another fit lowers the residual of the channel that gains most, and which number it moves farthest.
+
+    Args:
+        logged: The fit with the logged commands.
+        changed: The fit with the changed commands.
+    """
     problem = logged.problem
     channels = [readings.channel for readings in problem.readings]
     best = min(channels, key=lambda channel: changed.residual(channel) / logged.residual(channel))

@@ -22,7 +22,7 @@ STAIRCASE = 0.2  # share of the logged values that repeat the one before: with m
 REGULAR = 2.5  # factor on the median gap: over longer gaps a command is held
 JUMP = 5.0  # factor on the slopes before and after: a larger slope is a jump, and no straight line
 LEVEL = 0.95  # level of chi squared, below which two reconstructions describe a flight equally well
-TOLD = 0.5  # standard deviations: a reconstruction that moves an estimate by less is not told
+TOLD = 0.5  # standard deviations: a reconstruction that moves an estimate by less is not reported
 
 HELD = "its last value is held"
 LATE = "it follows straight lines, and jumps with the next logged value"
@@ -30,10 +30,13 @@ EARLY = "it follows straight lines, and jumps right after the last logged value"
 
 
 def reconstructions(commands: Sequence[np.ndarray]) -> tuple[Reconstruction, ...]:
-    """Commands at all samples, by the reconstructions that are possible; the first one is the likeliest.
+    """The possible courses of the commands at all samples, the likeliest first.
 
     Args:
         commands: The command of each channel, NaN where the log lacks it, shape (samples,).
+
+    Returns:
+        Held commands alone if no command is logged more rarely than the controller gives it.
     """
     held_commands = np.array([forward_filled(command) for command in commands])
     if not any(is_rare(command) for command in commands):
@@ -53,7 +56,10 @@ def reconstructions(commands: Sequence[np.ndarray]) -> tuple[Reconstruction, ...
 
 
 def is_rare(command: np.ndarray) -> bool:
-    """Whether a command is logged more rarely than it is given, as it lacks many samples and hardly repeats a value."""
+    """Whether a command, NaN where the log lacks it, is logged more rarely than the controller gives it.
+
+    Such a command lacks many samples, and its logged values hardly ever repeat.
+    """
     values = command[np.isfinite(command)]
     if len(values) < 3 or np.mean(np.isnan(command)) < LACKING or np.ptp(values) == 0.0:
         return False
@@ -61,14 +67,15 @@ def is_rare(command: np.ndarray) -> bool:
 
 
 def along_lines(command: np.ndarray, jumps_early: bool, longest_gap: float | None = None) -> np.ndarray:
-    """Interpolate a command linearly between its values; it is held over long gaps.
+    """Interpolate a command linearly between its logged values; over long gaps, hold the last value.
 
-    Where it jumps, it keeps the last value until the next one is logged; ``jumps_early`` has the next one at once.
+    A jump is not interpolated. The command keeps the value before the jump until the next value is logged, or, with
+    ``jumps_early``, takes the next value right after the last logged one.
 
     Args:
         command: The command, NaN where the log lacks it, shape (samples,).
-        jumps_early: Whether it jumps right after the last logged value.
-        longest_gap: Longest gap that is no long one, in samples; None: 2.5 times the median gap.
+        jumps_early: Whether the command jumps right after the last logged value.
+        longest_gap: Longest gap that is interpolated, in samples; None: 2.5 times the median gap.
     """
     finite_rows = np.flatnonzero(np.isfinite(command))
     values = command[finite_rows]
@@ -91,7 +98,13 @@ def along_lines(command: np.ndarray, jumps_early: bool, longest_gap: float | Non
 
 
 class ComparedCommands(NamedTuple):
-    """Another reconstruction beside that of the fit: its sum of squares, and how far it moves the coordinates."""
+    """A reconstruction of the commands other than that of the fit.
+
+    Args:
+        reconstruction: The reconstruction.
+        cost: Weighted sum of squares that this reconstruction leaves.
+        move: How far this reconstruction moves the coordinates, shape (p,).
+    """
 
     reconstruction: Reconstruction
     cost: float
@@ -99,7 +112,12 @@ class ComparedCommands(NamedTuple):
 
 
 def compared_commands(problem: FitProblem, minimum: Minimum) -> list[ComparedCommands]:
-    """Take one Gauss-Newton step from a minimum with each alternative reconstruction of a log's commands."""
+    """Take one Gauss-Newton step from a minimum with each alternative reconstruction of a log's commands.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+    """
     comparisons = []
     for reconstruction in problem.log.alternatives:
         equations = problem.normal_equations(minimum.x, reconstruction.commands)
@@ -114,14 +132,20 @@ def compared_commands(problem: FitProblem, minimum: Minimum) -> list[ComparedCom
 
 
 def allowed_difference(problem: FitProblem) -> float:
-    """Difference of two weighted sums of squares below which both describe the flight equally well."""
+    """Difference of weighted sums of squares below which two reconstructions describe the flight equally well."""
     return float(stats.chi2.ppf(LEVEL, len(problem.names)))
 
 
 def better_commands(
     problem: FitProblem, minimum: Minimum, comparisons: Sequence[ComparedCommands]
 ) -> Reconstruction | None:
-    """The reconstruction that describes the flight best; None if it is that of the fit."""
+    """The reconstruction that describes the flight clearly better than that of the fit; None if there is none.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum with the present reconstruction.
+        comparisons: The other reconstructions, by :func:`compared_commands`.
+    """
     best = min(comparisons, key=lambda item: item.cost, default=None)
     if best is None or not best.cost < minimum.cost - allowed_difference(problem):
         return None
@@ -129,13 +153,22 @@ def better_commands(
 
 
 def with_commands(log: SampledLog, reconstruction: Reconstruction) -> SampledLog:
-    """The log with the commands of an alternative; its earlier commands are dropped."""
+    """The log with the commands of one of its alternatives in place of its own, which are dropped."""
     alternatives = tuple(item for item in log.alternatives if item is not reconstruction)
     return log._replace(commands=reconstruction.commands, between=reconstruction.text, alternatives=alternatives)
 
 
 def command_moves(problem: FitProblem, minimum: Minimum, comparisons: Sequence[ComparedCommands]) -> np.ndarray:
-    """How far equally good reconstructions, and what estimated commands leave open, move the coordinates, (k, p)."""
+    """How far other possible commands move the coordinates, one row for each course of the commands, shape (k, p).
+
+    The other courses are the reconstructions that describe the flight as well as that of the fit, and the deviations
+    that commands estimated by the fit leave open.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+        comparisons: The other reconstructions, by :func:`compared_commands`.
+    """
     highest_cost = minimum.cost + allowed_difference(problem)
     moves = [item.move for item in comparisons if item.cost <= highest_cost]
     if problem.log.freed is not None:
@@ -144,12 +177,12 @@ def command_moves(problem: FitProblem, minimum: Minimum, comparisons: Sequence[C
 
 
 def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarray) -> tuple[SignalWarning, ...]:
-    """The doubt about commands that are logged more rarely than they are given, with what that leaves open.
+    """The doubt about commands that are logged more rarely than the controller gives them, with the numbers it moves.
 
     Args:
         problem: The least-squares problem of the log.
         moves: The moves by :func:`command_moves` of the f numbers that are fitted, shape (k, f).
-        deviations: Standard deviations of their coordinates without these moves, shape (f,).
+        deviations: Standard deviations of the coordinates of these numbers without the moves, shape (f,).
     """
     move_texts = []
     if len(moves):
@@ -161,7 +194,7 @@ def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarra
 
 
 def rare_doubts(log: SampledLog, move_texts: Sequence[str] = ()) -> tuple[SignalWarning, ...]:
-    """The doubt about commands that are logged more rarely than they are given.
+    """The doubt about commands that are logged more rarely than the controller gives them.
 
     Args:
         log: The log.
@@ -180,7 +213,7 @@ def rare_doubts(log: SampledLog, move_texts: Sequence[str] = ()) -> tuple[Signal
 
 
 def largest_jump(command: np.ndarray) -> float:
-    """The largest change of a command, NaN where the log lacks it, over a gap; 0 without a gap."""
+    """The largest change of a command over a gap [u]; 0 without a gap. The command is NaN where the log lacks it."""
     finite_rows = np.flatnonzero(np.isfinite(command))
     changes = np.abs(np.diff(command[finite_rows]))[np.diff(finite_rows) > 1]
     return float(changes.max(initial=0.0))

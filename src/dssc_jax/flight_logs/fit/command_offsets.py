@@ -1,8 +1,9 @@
 """A constant in the logged command that the vehicle did not answer, such as the thrust at hover.
 
-The analysed controller shows the constant, and the fit whether the vehicle answered it. What an integral gave against
-a steady wind before the log began is such a constant, too. Other causes are sought without it, because a delay, a lag
-or another start may resemble it.
+The constant shows as the difference between the logged command and that of the analysed controller; the fit tells
+whether the vehicle answered it. What an integral gave against a steady wind before the log began is such a constant,
+too. Other causes of the residual are sought without the constant, because a delay, a lag or another start may resemble
+it.
 """
 
 from typing import NamedTuple
@@ -25,13 +26,13 @@ LARGE_PART = 0.5  # share of the residual that may be left if the constant expla
 
 
 class MendedCommand(NamedTuple):
-    """The fit of a log without what is wrong with its command, such as a constant in it.
+    """The fit of a log after a fault of its command, such as a constant, has been mended.
 
     Args:
-        warning: What is said of it.
-        problem: The problem, with the noise of its minimum.
-        minimum: Its minimum.
-        results: How well the study describes each channel there.
+        warning: The warning about the fault.
+        problem: The problem with the mended command, with the noise of its minimum.
+        minimum: The minimum of that problem.
+        results: How well the study describes each channel at that minimum.
     """
 
     warning: SignalWarning
@@ -41,17 +42,21 @@ class MendedCommand(NamedTuple):
 
     @property
     def residual(self) -> float:
-        """Root mean square of what remains of the first channel's residual."""
+        """Root mean square of the first channel's residual with the mended command, in the output's unit."""
         return self.results[0].residual
 
     @property
     def leaves_noise(self) -> bool:
-        """Whether nothing but noise remains."""
+        """Whether the residual with the mended command is nothing but noise."""
         return not any(result.is_doubtful for result in self.results)
 
 
 def logged_offset(problem: FitProblem) -> float | None:
-    """The constant by which the command of a study of one channel lies beside its controller's; None: there is none."""
+    """The constant [u] by which the logged command differs from that of the analysed controller.
+
+    Returns:
+        None if there is no such constant, the study has several channels, or the controller cannot be replayed.
+    """
     log = problem.log
     if len(problem.readings) != 1 or len(log.commands) != 1 or log.replayed:
         return None
@@ -64,12 +69,15 @@ def logged_offset(problem: FitProblem) -> float | None:
 
 
 def mended_command(problem: FitProblem, minimum: Minimum, results: list[Explained]) -> MendedCommand | None:
-    """The fit without the constant in the command; None if there is none, or the plant got it.
+    """Fit a log without the constant in its command.
 
     Args:
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
         results: How well the study describes each channel.
+
+    Returns:
+        None if noise explains the residual, the command has no constant, or the vehicle answered the constant.
     """
     if problem.count.is_stopped or not any(result.is_doubtful for result in results):
         return None
@@ -92,9 +100,9 @@ class ResidualFall(NamedTuple):
     """The root mean squares of a residual with a constant in the command, and without it.
 
     Args:
-        before: With it.
-        after: Without it.
-        words: What else is fitted.
+        before: Root mean square with the constant, in the output's unit.
+        after: Root mean square without the constant, in the output's unit.
+        words: What else is fitted in both cases; empty: nothing.
     """
 
     before: float
@@ -103,11 +111,13 @@ class ResidualFall(NamedTuple):
 
 
 def residual_fall(logged: Refit, mended: Refit) -> ResidualFall | None:
-    """What the residual falls to without the constant, if that is far less; with another start if only that shows it.
+    """The fall of the residual without the constant; None if the residual does not fall to less than half.
+
+    If only a fit of the start of the flight shows such a fall, both residuals are those with the fitted start.
 
     Args:
         logged: The fit of the log with the constant.
-        mended: The fit of the log without it.
+        mended: The fit of the log without the constant.
     """
     fall = ResidualFall(logged.residual(0), mended.residual(0))
     if fall.after < LARGE_PART * fall.before:
@@ -124,9 +134,9 @@ def offset_warning(offset: float, logged: Refit, mended: Refit, fall: ResidualFa
 
     Args:
         offset: The constant [u].
-        logged: The fit of the log with it.
-        mended: The fit of the log without it.
-        fall: What the residual falls to.
+        logged: The fit of the log with the constant.
+        mended: The fit of the log without the constant.
+        fall: How far the residual falls without the constant.
     """
     problem = logged.problem
     name = signal_name(problem.study.loop.channels[0], "u_total")
@@ -135,7 +145,7 @@ def offset_warning(offset: float, logged: Refit, mended: Refit, fall: ResidualFa
     place = problem.fitted[int(np.argmax(np.abs(mended.minimum.x - logged.minimum.x)[problem.fitted]))]
     values = [end.problem.values(end.minimum.x)[place] for end in (logged, mended)]
     moves = f", and {problem.names[place]} is {values[1]:.4g} in place of {values[0]:.4g}"
-    if fall.words:  # without the right start, neither is right
+    if fall.words:  # without the right start, neither value is right
         moves = ""
     text = (
         f"{name} has a constant of {offset:.4g} {command} that the vehicle did not answer: the analysed controller "

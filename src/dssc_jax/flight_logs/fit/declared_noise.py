@@ -1,7 +1,7 @@
 """How far the random disturbances that a study declares move the estimates of a fit.
 
-A residual hardly shows noise that is slower than the flight, such as the mean of a gust over it. The study declares it,
-and simulations show what it does to the estimates.
+A residual hardly shows noise that is slower than the flight, such as the mean of a gust over the flight. The study
+declares such noise, and simulations show how far it moves the estimates.
 """
 
 import numpy as np
@@ -16,16 +16,17 @@ ROUNDING = 1e-12  # least eigenvalue of a correlation matrix, as a share of the 
 
 
 def declared_covariance(problem: FitProblem, minimum: Minimum) -> np.ndarray:
-    """Second moments of the moves of the coordinates by the study's noise, shape (p, p); 0 without random disturbances.
+    """Second moments of how far the noise that the study declares moves the coordinates, shape (p, p).
 
-    Where the residual is smaller than that of the study's noise, the noise of the flight counts as that much weaker.
+    The moments are 0 if the study has no random disturbance. If the flight's residual is smaller than that of the
+    simulations, the moments are reduced in proportion to the weighted sums of squares.
 
     Args:
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
 
     Raises:
-        NotIdentifiable: A simulation with the study's noise diverges, so that nothing tells how far it moves them.
+        NotIdentifiable: A simulation with the study's noise diverges, so that the moves are not known.
     """
     count = len(problem.names)
     if not declares_noise(problem.study):
@@ -51,9 +52,10 @@ def declared_covariance(problem: FitProblem, minimum: Minimum) -> np.ndarray:
 
 
 def larger_covariance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """The first covariance, widened where the second one is larger; both of shape (p, p).
+    """The first covariance, widened in the directions in which the second one is larger; all of shape (p, p).
 
-    In the coordinates in which the first is the identity and the second is diagonal, the larger of the two counts.
+    In the coordinates in which the first covariance is the identity and the second one is diagonal, the result is
+    diagonal, and each entry is the larger of the two.
     """
     scale = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(scale, scale))

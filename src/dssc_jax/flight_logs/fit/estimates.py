@@ -24,7 +24,7 @@ from dssc_jax.study.tables import PARAMETERS, enclosing_list, has_dotted, set_do
 
 BOUND_MARGIN = 1e-6  # share of the distance from an exclusive bound by which a law stays inside
 LAW_WIDTH = 5.0  # standard deviations at which a bounded number's law is truncated
-WITHOUT_SCALE = ("1", "s", "1/s", "samples")  # units of numbers that no other unit of an output or command changes
+WITHOUT_SCALE = ("1", "s", "1/s", "samples")  # units of numbers that do not depend on the units of output and command
 LEAST_WHITE = 1e-3  # probability that a residual is white, below which its correlation is reported
 OUTSIDE_LAW = (
     3.0  # standard deviations of an estimate beyond the middle 99.8 % of its law, from which it is reported as outside
@@ -41,12 +41,12 @@ class ResidualNoise(NamedTuple):
 
     @classmethod
     def of(cls, posterior: NoisePosterior, explained: Explained) -> "ResidualNoise":
-        """The noise by its posterior law."""
+        """The noise of a channel, from its posterior law and from the residual beside noise and output."""
         likeliest = posterior.likeliest
         return cls(posterior.white, likeliest.share, correlation_time(likeliest), explained)
 
     def summary(self) -> dict[str, float]:
-        """For JSON."""
+        """The noise as plain data for JSON; sizes are in the output's unit, times in s."""
         return {
             "rms": self.explained.residual,
             "noise": self.explained.noise,
@@ -60,11 +60,11 @@ class ResidualNoise(NamedTuple):
 
 
 def correlation_doubts(study: Study, noise: Mapping[str, ResidualNoise]) -> tuple[SignalWarning, ...]:
-    """The doubts about residuals that are hardly white, where the study has nothing random but its sensors' noise.
+    """The doubts about residuals that are hardly white; none if the study declares random disturbances.
 
     Args:
         study: The study.
-        noise: The noise of the residual by channel.
+        noise: The noise of the residual by name of the channel.
     """
     if declares_noise(study):
         return ()
@@ -121,7 +121,7 @@ class Fitted:
         return np.sqrt(np.diag(self.covariance))
 
     def interval(self, level: float = 0.9) -> np.ndarray:
-        """Two-sided confidence intervals within what is admissible, shape (n, 2)."""
+        """Two-sided confidence intervals of the numbers, clipped to their admissible ranges, shape (n, 2)."""
         half_width = special.ndtri(0.5 + 0.5 * level) * self.deviations
         ends = np.stack([self.scaled - half_width, self.scaled + half_width], axis=1)
         intervals = []
@@ -133,7 +133,10 @@ class Fitted:
         return np.array(intervals)
 
     def law(self, name: str) -> Law:
-        """The proposed law of a number: normal, within its admissible range, or log-normal."""
+        """The proposed law of a number: log-normal if its law in the study is logarithmic, else normal.
+
+        A normal law is truncated to the admissible range, if the number has one or is a parameter of the study.
+        """
         place = self.names.index(name)
         mean = float(self.scaled[place])
         std = float(self.deviations[place])
@@ -146,7 +149,10 @@ class Fitted:
         return Law("truncated_normal", (mean, std, *truncation(quantity, mean, std)))
 
     def correlations(self) -> dict[str, float]:
-        """Rank correlations of the estimates by pair, as ``[correlation]`` has them."""
+        """Rank correlations of the estimates by pair of names, as a study's table ``[correlation]`` has them.
+
+        For normal laws with the linear correlation r, the rank correlation is 6/pi asin(r/2).
+        """
         linear = self.covariance / np.outer(self.deviations, self.deviations)
         ranks = {}
         for i, row_name in enumerate(self.names):
@@ -155,9 +161,10 @@ class Fitted:
         return ranks
 
     def outside_laws(self) -> dict[str, str]:
-        """Numbers whose estimates lie clearly outside their laws in the study, each with the multiple that lies inside.
+        """Numbers whose estimates lie clearly outside their laws in the study, each with a factor in words.
 
-        The multiple is one of another unit, in words; empty if none lies inside, or not the same one for all of them.
+        The factor is that of another unit, with which the estimate lies inside its law. It is empty if there is no
+        such factor, or if it is not the same for all these numbers.
         """
         units = [unit for channel in self.study.units for unit in (channel.output, channel.of("u"))]
         outside = {}
@@ -174,7 +181,7 @@ class Fitted:
 
     @property
     def untried_parts(self) -> str:
-        """Why parts that the study may lack were not tried; empty: they were."""
+        """The reason for which parts that the study may lack were not tried; empty if they were tried."""
         if len(self.study.loop.channels) > 1:
             return "the study has several channels"
         return "the search was stopped" if self.stopped else ""
@@ -194,7 +201,7 @@ class Fitted:
         return tuple(warnings)
 
     def toml(self) -> str:
-        """The proposal as TOML, one line for each entry; a number in a list comes with the whole list."""
+        """The proposed laws as TOML, one line for each entry; a number in a list comes with the whole list."""
         table: dict[str, Json] = {}
         for name in self.names:
             law = self.law(name)
@@ -213,7 +220,7 @@ class Fitted:
         return toml_entries(table)
 
     def summary(self) -> dict[str, Json]:
-        """For JSON."""
+        """The estimates, their laws and the warnings as plain data for JSON."""
         numbers = {}
         for name, value, ends in zip(self.names, self.estimates, self.interval(), strict=True):
             law = self.law(name)
@@ -251,7 +258,14 @@ class Fitted:
 
 
 def with_sign(quantity: Quantity, law: Law) -> Quantity:
-    """The quantity with the sign that all values of a law have, as a parameter whose inverse counts needs it."""
+    """The quantity, bounded by 0 if all values of a law have the same sign and the quantity has no bound on that side.
+
+    A parameter whose inverse counts must not change its sign.
+
+    Args:
+        quantity: The quantity.
+        law: The law of the number in the study.
+    """
     low, high = law.support
     if low > 0.0 and quantity.above is None and quantity.at_least is None:
         return replace(quantity, above=0.0)
@@ -261,7 +275,13 @@ def with_sign(quantity: Quantity, law: Law) -> Quantity:
 
 
 def truncation(quantity: Quantity, mean: float, std: float) -> tuple[float, float]:
-    """Ends of a law within a quantity's admissible range."""
+    """Ends of a truncated law: ``LAW_WIDTH`` deviations either side of the mean, within the quantity's range.
+
+    Args:
+        quantity: The quantity, with the bounds of its admissible range.
+        mean: Mean of the normal law before truncation.
+        std: Standard deviation of that law.
+    """
     low = mean - LAW_WIDTH * std
     high = mean + LAW_WIDTH * std
     if quantity.above is not None:

@@ -1,7 +1,7 @@
-"""Outputs behind a first-order lag of the sensor, which a fit keeps in its prediction and seeks where a study lacks it.
+"""First-order lags of sensors: a fit keeps such a lag in its prediction, and seeks one that the study lacks.
 
-The samples are those of the package's sensor ``{kind = "lag"}``: the exact solution for outputs that are linear between
-samples.
+The samples agree with those of the package's sensor ``{kind = "lag"}``: the exact solution for outputs that are linear
+between samples.
 """
 
 from collections.abc import Mapping
@@ -15,12 +15,12 @@ from dssc_jax.models.sensors import IDEAL
 from dssc_jax.models.sensors.lag import SENSOR_LAG
 from dssc_jax.study import Study
 
-LOGGED = 0.95  # share of the samples with a derivative that tells anything
-EXPLAINED = 0.5  # share of what an output differs by from the integral of its derivative that a lag may leave
+LOGGED = 0.95  # least share of samples with a logged derivative: with fewer, the derivative tells nothing
+EXPLAINED = 0.5  # share of the output's difference from the integral of its derivative that may be left with a lag
 
 
 def filtered(series: np.ndarray, samples: float) -> np.ndarray:
-    """A series behind a first-order lag, which shows the first value as if it had been constant before.
+    """A series behind a first-order lag. Before its first sample, the series counts as constant at the first value.
 
     Args:
         series: The series at equal gaps, shape (..., n).
@@ -32,12 +32,13 @@ def filtered(series: np.ndarray, samples: float) -> np.ndarray:
     response = -np.expm1(-1.0 / samples)  # to a step, after one sample
     ramp = samples * response
     first = series[..., :1]
+    # reading(k + 1) = (1 - response) reading(k) + numerator[0] series(k + 1) + numerator[1] series(k)
     numerator = [1.0 - ramp, ramp - (1.0 - response)]
     return first + signal.lfilter(numerator, [1.0, response - 1.0], series - first, axis=-1)
 
 
 def deterministic_sensors(study: Study) -> tuple[Sensor, ...]:
-    """The sensors of the channels as a prediction has them: a lag stays, and any other sensor is ideal."""
+    """Each channel's sensor in a prediction: a lag stays, and an ideal sensor replaces any other one."""
     return tuple(SENSOR_LAG if sensor is SENSOR_LAG else IDEAL for sensor in study.loop.sensor)
 
 
@@ -47,7 +48,7 @@ def has_sensor_lag(study: Study) -> bool:
 
 
 def lies_behind_rate(signals: Mapping[str, np.ndarray], samples: float) -> bool:
-    """Whether an output lies behind the integral of its logged derivative as behind a lag.
+    """Whether an output follows the integral of its logged derivative with a first-order lag.
 
     Args:
         signals: The logged signals of a channel at the samples, NaN where missing, shape (n,) each.
@@ -67,7 +68,12 @@ def lies_behind_rate(signals: Mapping[str, np.ndarray], samples: float) -> bool:
 
 
 def beside_integral(output: np.ndarray, integral: np.ndarray) -> float:
-    """The root mean square of an output beside a multiple of an integral and a straight line; both of shape (n,)."""
+    """Root mean square of what remains of an output after a least-squares fit of an integral and a straight line.
+
+    Args:
+        output: The output, NaN where missing, shape (n,).
+        integral: The integral, shape (n,).
+    """
     is_logged = np.isfinite(output)
     rows = np.arange(len(output), dtype=float)
     regressors = np.column_stack([np.ones(len(output)), rows, integral])[is_logged]

@@ -1,8 +1,8 @@
-"""Whether a logged flight began with the integrals of the study, as its outputs show.
+"""Whether the integrals of the software on board began a logged flight as in the study, by the outputs.
 
-Other integrals at the first sample change the output in a way that other numbers can hardly imitate. One step of Gauss
-and Newton over the fitted numbers and the integrals tells both how large the integrals were and how far the estimates
-would move.
+Other integrals at the first sample change the output in a way that the fitted numbers can hardly imitate. One
+Gauss-Newton step over the fitted numbers and the integrals tells both how large the integrals were and how far the
+estimates would move.
 """
 
 import math
@@ -41,8 +41,8 @@ class FreeIntegrals(NamedTuple):
         deviations: Standard deviations of these values.
         p_value: Probability of as large a reduction of the sum of squares if the study's integrals were right.
         moves: How far the estimates would move, by number, in their standard deviations.
-        residuals: Root mean square of the residual that they leave, to first order, by position of the channel.
-        falls: That over the one without them, by position of the channel.
+        residuals: Root mean square of the residual with these integrals, to first order, by position of the channel.
+        falls: The same over the root mean square with the study's integrals, by position of the channel.
     """
 
     names: tuple[str, ...]
@@ -55,7 +55,7 @@ class FreeIntegrals(NamedTuple):
 
     @property
     def differ_and_matter(self) -> bool:
-        """Whether the flight's integrals differ from the study's, and the estimates depend on it."""
+        """Whether the flight's integrals differ from the study's, and this moves an estimate far."""
         return self.p_value < SIGNIFICANCE and max(map(abs, self.moves.values())) > LARGE_MOVE
 
     @property
@@ -80,13 +80,13 @@ class FreeIntegrals(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A step of Gauss and Newton over p numbers and q integrals.
+    """A Gauss-Newton step over p numbers and q integrals.
 
     Args:
-        change: Change of their coordinates, shape (p + q,).
+        change: Changes of the numbers' coordinates and of the integrals, shape (p + q,).
         deviations: Standard deviations of these changes, shape (p + q,).
-        moves: Changes of the numbers, in their standard deviations while the integrals are those of the study.
-        reduction: How much more of the weighted sum of squares the free integrals take away.
+        moves: Changes of the numbers, in the standard deviations that they have with the study's integrals, shape (p,).
+        reduction: How much lower the weighted sum of squares is with free integrals than with those of the study.
     """
 
     change: np.ndarray
@@ -103,13 +103,14 @@ def free_integrals(problem: FitProblem, minimum: Minimum) -> FreeIntegrals | Non
         minimum: The minimum.
 
     Returns:
-        None if the study has no plain numbers for them.
+        None if the study does not give its first integrals as plain numbers.
     """
     fixed_values = fixed_integrals(problem.study)
     if not fixed_values:
         return None
     study_integrals = np.array(list(fixed_values.values()))
     p = len(problem.names)
+    # The prediction was compiled with the integrals as further inputs, so that it has the slopes by them, too.
     _, slopes = problem.predict(np.concatenate([problem.values(minimum.x), study_integrals]), problem.log.commands)
     products = np.zeros((1 + p + len(fixed_values),) * 2)
     columns_of_channel = {}
@@ -142,7 +143,7 @@ def gauss_newton_step(p: int, products: np.ndarray) -> Step:
     """The step to the minimum over numbers and integrals, from the products of residual and slopes.
 
     Args:
-        p: Number of numbers.
+        p: Number of fitted numbers.
         products: Weighted products of the columns, shape (1 + p + q, 1 + p + q). The columns are the residual, its
             slopes by the numbers, and its slopes by the integrals.
     """

@@ -84,12 +84,15 @@ def fit_log(
     Args:
         study: The study; its sweep is ignored.
         log: The flight, with measured outputs, and with commands, unless a replay computes them.
-        names: The numbers; none: all with laws that show in the output, less those that the flight does not identify.
-        predictions: Compiled predictions to use again, by names, for logs of one length.
+        names: The numbers to estimate. Empty: all numbers with laws that show in the output, without those that the
+            flight does not identify.
+        predictions: Compiled predictions by names of the numbers, which the fit uses and adds to; logs that share them
+            have the same length.
         allow_damaged: Whether a log that has lost messages is fitted all the same.
         limits: When the search for the minimum ends with the best so far.
-        replay: The log's replay, whose commands are then checked, too; None: only its references are.
-        progress: Called with the simulations done, and their largest number.
+        replay: A replay of the log, to check the logged commands as well as the references; None: the fit replays the
+            references alone.
+        progress: Called with the number of simulations done, and the largest number allowed.
 
     Raises:
         ConfigError: a name or the log is not suitable; the log has lost messages, or a jump of the estimator; a signal
@@ -157,7 +160,12 @@ def fit_log(
 
 
 def at_medians(minimum: Minimum, is_kept: np.ndarray) -> Minimum:
-    """A minimum as the start of another search, in which the numbers that keep their laws begin at their medians."""
+    """A minimum as the start of another search, moved to the medians along the numbers that keep their laws.
+
+    Args:
+        minimum: The minimum.
+        is_kept: Whether each number keeps its law, shape (p,).
+    """
     return minimum._replace(x=np.where(is_kept, 0.0, minimum.x))
 
 
@@ -165,7 +173,7 @@ def require_undamaged(study: Study, log: FlightLog) -> None:
     """Require a log that has lost no messages and has no jump of the estimator.
 
     Raises:
-        ConfigError: It has.
+        ConfigError: The log has lost messages, or has a jump of the estimator.
     """
     if log.damaged:
         raise ConfigError(
@@ -177,10 +185,12 @@ def require_undamaged(study: Study, log: FlightLog) -> None:
 
 
 def marginal_information(information: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """The information on some of the numbers, whatever the others are, which keep their laws; shape (f, f).
+    """The information on f numbers while all others, which keep their laws, are free within these; shape (f, f).
+
+    It is the Schur complement of the block of the other numbers.
 
     Args:
-        information: The information on all numbers, with that of the laws that are kept, shape (p, p).
+        information: The information on all numbers, including that of the laws that are kept, shape (p, p).
         positions: Positions of the f numbers.
     """
     others = np.setdiff1d(np.arange(len(information)), positions)
@@ -196,9 +206,9 @@ def none_identified(
 
     Args:
         problem: The last problem, with the noise of its minimum.
-        best: That minimum.
+        best: The minimum of that problem.
         unidentified: The numbers with their widths.
-        known: What its replay tells of the log that may leave a residual.
+        known: Warnings by the replay of the log that may explain a residual.
 
     Raises:
         Unexplained: The residual is more than noise.
@@ -218,8 +228,13 @@ def none_identified(
 def require_explained(problem: FitProblem, best: Minimum, results: list[Explained]) -> None:
     """Require that the residual is noise.
 
+    Args:
+        problem: The least-squares problem of the log.
+        best: The best minimum of the problem.
+        results: How well the study describes each channel at that minimum.
+
     Raises:
-        Unexplained: It is more; the message has the likely causes.
+        Unexplained: The residual of a channel is more than noise; the message has the likely causes.
     """
     place = unexplained_place(results)
     if place is None:
@@ -246,10 +261,15 @@ def fitted_minimum(
 
     Args:
         problem: The least-squares problem of the log.
-        search: Its minima.
+        search: The minima of the problem.
         unidentified_widths: Numbers that keep their laws, with the width that the flight leaves over that of the law.
         moves: How far other commands that may have flown move the coordinates, shape (k, p).
-        known: What its replay tells of the log that may leave a residual.
+        known: Warnings by the replay of the log that may explain a residual.
+
+    Raises:
+        Unexplained: The residual is more than noise, or a number has an impossible value.
+        NotIdentifiable: The flight does not identify the numbers.
+        StartsElsewhere: The integrals of an inner loop were others at the first sample.
     """
     study = problem.study
     x = search.best.x

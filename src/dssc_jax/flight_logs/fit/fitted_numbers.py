@@ -17,7 +17,15 @@ PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
 
 
 def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
-    """The numbers to estimate; without a request those with laws that show in the output."""
+    """The names of the numbers to estimate: the requested ones, or all with laws that show in the output.
+
+    Args:
+        study: The study.
+        requested: Names of the requested numbers; empty: no request.
+
+    Raises:
+        ConfigError: A requested number has no law, or a law without derivatives; or no law shows in the output.
+    """
     for name in requested:
         if name not in study.laws:
             raise ConfigError("names", f"'{name}' has no law in this study; {nearest(name, list(study.laws))}")
@@ -49,10 +57,10 @@ def shows(study: Study, fields: Sequence[str]) -> bool:
 def require_stated_times(study: Study, fitted_names: Sequence[str]) -> None:
     """Require that the times at which something happens to the plant are known, unless they are fitted.
 
-    Those of the reference do not matter: the plant gets the logged commands.
+    Times of the reference do not matter, because the plant gets the logged commands.
 
     Raises:
-        ConfigError: One has a law, whose median is hardly the flight's time.
+        ConfigError: Such a time has a law and is not fitted; the law's median is hardly the time of this flight.
     """
     for name, number in study.numbers.items():
         is_time = number.quantity.begins or number.quantity.ends
@@ -65,8 +73,8 @@ def require_stated_times(study: Study, fitted_names: Sequence[str]) -> None:
 def insensitive_numbers(problem: FitProblem, minimum: Minimum) -> dict[str, float]:
     """Numbers on which the output hardly depends at a minimum, with their widths.
 
-    A width is the number's standard deviation from this flight, were all others known, over that of its law. It is not
-    below 1.
+    A width is the standard deviation that the flight would leave if all other numbers were known, over that of the
+    number's law. Only numbers with a width of at least 1 are returned.
     """
     widths = {}
     information = np.diag(minimum.equations.information) - problem.prior

@@ -33,15 +33,15 @@ def flown(problem: FitProblem, minimum: Minimum) -> Flight:
 
 
 def flown_with(problem: FitProblem, x: np.ndarray, commands: np.ndarray, forces: np.ndarray | None = None) -> Flight:
-    """The flight at coordinates of a problem of one channel, by the speed that certain commands and forces give.
+    """The flight in a problem of one channel: the log's commands, and the speed for given commands and forces.
 
-    The speed is that of the predicted output, and of the residual where this is more than noise: gusts that the study
+    The speed is that of the predicted output plus the smoothed slope of the residual, because gusts that the study
     declares move the vehicle, too.
 
     Args:
         problem: The problem.
         x: The coordinates, shape (p,).
-        commands: The commands, shape (1, samples).
+        commands: The commands for which the speed is predicted, shape (1, samples).
         forces: Forces beside the study's disturbance, shape (samples,) [u]; None: there are none.
     """
     sample_time = problem.study.loop.sample_time
@@ -61,9 +61,9 @@ def flown_with(problem: FitProblem, x: np.ndarray, commands: np.ndarray, forces:
 
 
 def slope_half_width(noise: float, gap: float, error: float) -> int:
-    """Readings either side of which a line through all has a slope of a standard deviation of at most ``error``.
+    """The number h of readings on either side, such that a line through all has a slope with a small enough error.
 
-    A line through 2 h + 1 readings at equal gaps d has a slope of the variance 3 s^2/(h (h + 1) (2 h + 1) d^2).
+    The slope of a line through 2 h + 1 readings at equal gaps d has the variance 3 s^2/(h (h + 1) (2 h + 1) d^2).
 
     Args:
         noise: Standard deviation s of white noise of the readings.
@@ -71,15 +71,16 @@ def slope_half_width(noise: float, gap: float, error: float) -> int:
         error: The largest standard deviation of the slope.
     """
     ratio = min(noise / (gap * max(error, TINY)), 1e6)
+    # A sufficient h: 3/(h (h + 1) (2 h + 1)) is below 1.5/h^3.
     return max(1, math.ceil((1.5 * ratio**2) ** (1.0 / 3.0)))
 
 
 def slopes(series: np.ndarray, half_width: int) -> np.ndarray:
-    """Slopes of lines through each sample and some either side, per sample; shape (n,).
+    """Slope of the line through each sample and its neighbours on either side, per sample; shape (n,).
 
     Args:
         series: The samples, shape (n,).
-        half_width: Number of samples either side; fewer in a short series. The ends are repeated.
+        half_width: Number of neighbours on either side; fewer in a short series. Beyond its ends, the end values count.
     """
     half_width = min(half_width, max(1, len(series) // 2))
     positions = np.arange(-half_width, half_width + 1)

@@ -1,8 +1,8 @@
 """Fits of a log with free commands where it lacks them for a few samples: what flew there is not known.
 
-Each span in which a command is held adds one number, the command's mean less the held value. Its law is normal, with
-the size of the command's changes over as many samples. So commands that are as usual may explain a residual, and
-nothing else: they count only where they leave no more than noise.
+Each span in which a command is held adds one number: the command's mean less the held value. This change has a normal
+law, whose deviation is the size of the command's changes over as many samples elsewhere. So only commands of usual size
+may explain a residual, and they count only if they leave no more than noise.
 """
 
 from typing import NamedTuple
@@ -33,9 +33,9 @@ class FreeSpan(NamedTuple):
     """A span in which a command is free.
 
     Args:
-        channel: Position of its channel.
+        channel: Position of the command's channel.
         dropout: The span.
-        deviation: Standard deviation of its change.
+        deviation: Standard deviation of the law of the command's change in the span [u].
     """
 
     channel: int
@@ -44,7 +44,11 @@ class FreeSpan(NamedTuple):
 
 
 def free_spans(log: SampledLog) -> list[FreeSpan]:
-    """The spans in which a log lacks commands, or repeats them; none of commands that are rare as such, or constant."""
+    """The spans in which a log lacks or repeats a command that changes.
+
+    Returns:
+        No span if there are too many for the readings, or a command is logged more rarely than it is given.
+    """
     spans = []
     for channel, command in enumerate(log.commands):
         is_lacking = np.isnan(log.signals[channel].get("u_total", command))
@@ -63,7 +67,7 @@ def free_spans(log: SampledLog) -> list[FreeSpan]:
 
 
 def freed_commands(problem: FitProblem, minimum: Minimum) -> FitProblem | None:
-    """The problem with the commands that flew where the log lacks some; None if they do not explain its residual.
+    """The problem with estimated commands where the log lacks them; None if these do not explain the residual.
 
     Args:
         problem: The problem, with the noise of the minimum.
@@ -101,6 +105,8 @@ class FreePoint(NamedTuple):
 class FreeProblem:
     """The least squares of a log whose commands are free in k spans.
 
+    A point has coordinates x of the numbers, shape (p,), and changes of the commands in the spans, shape (k,) [u].
+
     Args:
         problem: The problem with held commands.
         spans: The spans.
@@ -108,7 +114,7 @@ class FreeProblem:
     """
 
     def __init__(self, problem: FitProblem, spans: list[FreeSpan], noises: np.ndarray) -> None:
-        """Weigh each change by its law."""
+        """Add the information of the changes' laws to that of the numbers' laws."""
         self.problem = problem
         self.spans = spans
         self.noises = noises
@@ -123,17 +129,17 @@ class FreeProblem:
         return commands
 
     def columns(self, x: np.ndarray, changes: np.ndarray) -> np.ndarray:
-        """Residual and slopes by the numbers, over the noise, of all readings, shape (n, 1 + p)."""
+        """The residual of all readings and the prediction's slopes by the numbers, over the noise, shape (n, 1 + p)."""
         columns = self.problem.columns(x, self.commands(changes))
         return np.vstack([part / noise for part, noise in zip(columns, self.noises, strict=True)])
 
     def cost(self, x: np.ndarray, changes: np.ndarray) -> float:
-        """The sum of squares."""
+        """The sum of squares of the residual over the noise, plus those of the changes and numbers with kept laws."""
         squares = self.columns(x, changes)[:, 0] ** 2
         return float(np.sum(squares)) + float(self.prior @ np.append(x, changes) ** 2)
 
     def products(self, point: FreePoint) -> tuple[np.ndarray, np.ndarray]:
-        """The gradient, shape (p + k,), and the information, shape (p + k, p + k)."""
+        """The descent direction, shape (p + k,), and the information, shape (p + k, p + k), both with the laws."""
         columns = self.columns(*point)
         slopes = [columns[:, 1:]]
         for row, deviation in enumerate(self.deviations):
@@ -146,7 +152,7 @@ class FreeProblem:
         return gradient, jacobian.T @ jacobian + np.diag(self.prior)
 
     def minimum(self, x: np.ndarray) -> FreePoint:
-        """Steps of Gauss and Newton from the coordinates of the minimum with held commands."""
+        """The point after a few Gauss-Newton steps from the coordinates of the minimum with held commands."""
         point = FreePoint(x, np.zeros(len(self.spans)))
         for _ in range(STEPS):
             gradient, information = self.products(point)
@@ -157,7 +163,10 @@ class FreeProblem:
         return point
 
     def moves(self, point: FreePoint) -> np.ndarray:
-        """How far the changes move the coordinates, by their standard deviations, shape (k, p)."""
+        """How far the uncertainty of the changes moves the coordinates, shape (k, p).
+
+        Each row is the move by one standard deviation along one principal axis of the changes' covariance.
+        """
         count = len(point.x)
         _, information = self.products(point)
         covariance = np.linalg.pinv(information)[count:, count:]
@@ -169,14 +178,14 @@ class FreeProblem:
 def freed_warnings(
     held: Refit, x: np.ndarray, spans: list[FreeSpan], results: list[Explained], freed_results: list[Explained]
 ) -> tuple[SignalWarning, ...]:
-    """That a log lacks commands which a fit has estimated, with their times and what they change.
+    """Warnings, by channel, that a fit has estimated commands which the log lacks, with their times and effects.
 
     Args:
         held: The fit with held commands.
-        x: Coordinates of the numbers with free ones.
+        x: Coordinates of the numbers with free commands.
         spans: The spans.
         results: How well the study describes each channel with held commands.
-        freed_results: How well it does with free ones.
+        freed_results: How well the study describes each channel with free commands.
     """
     problem = held.problem
     loop = problem.study.loop

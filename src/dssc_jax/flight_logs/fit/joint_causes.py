@@ -1,4 +1,4 @@
-"""A steady wind beside a delay or a lag, where a fit is refused: neither alone explains the flight, and both may.
+"""A steady wind beside a delay or a lag, where a fit is refused: neither alone explains the flight, but both may.
 
 A constant disturbance joins the numbers of the fit, and each delay and each lag is tried beside it.
 """
@@ -28,7 +28,7 @@ from dssc_jax.flight_logs.hints.starts import fixed_integrals
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 FORCE = "disturbance.value"
-FAR_LESS = 0.4  # share of what each of two causes leaves alone: with both, less is left
+FAR_LESS = 0.4  # share of the residual that each of two causes leaves alone; both together have to leave less
 
 
 class JointCause(NamedTuple):
@@ -36,8 +36,8 @@ class JointCause(NamedTuple):
 
     Args:
         problem: The problem with the wind among its numbers.
-        best: The fit with the other cause.
-        rivals: Fits with others beside the wind that explain the flight nearly as well.
+        best: The fit with the likeliest delay or lag beside the wind.
+        rivals: Fits with other delays or lags beside the wind that explain the flight nearly as well.
     """
 
     problem: FitProblem
@@ -52,7 +52,7 @@ def joint_doubts(problem: FitProblem, minimum: Minimum, result: Explained, told:
         problem: The problem of a refused fit, with the noise of the minimum.
         minimum: The minimum.
         result: How well the study describes the readings of the first channel.
-        told: Root mean square of the residual with the part that is told; infinite without one.
+        told: Root mean square of the residual with the part that a warning names; infinite without such a part.
     """
     if told <= MUCH_LARGER * result.limit:
         return ()
@@ -78,14 +78,24 @@ def joint_doubts(problem: FitProblem, minimum: Minimum, result: Explained, told:
 
 
 def residual_alone(problem: FitProblem, minimum: Minimum, part: Part) -> float:
-    """The root mean square of the residual with one part alone; that without it if it explains nothing."""
+    """The root mean square of the residual with one part alone, or without any part if this one explains nothing.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum without the part.
+        part: The part.
+    """
     without = fit_without_part(problem, minimum, 1, (minimum.x, 0.0 * minimum.x))
     fit = fitted_part(problem, without, flown(problem, minimum), part)
     return Refit(problem, minimum).residual(0) if fit is None else fit.residual
 
 
 def joint_cause(problem: FitProblem, minimum: Minimum) -> JointCause | None:
-    """The fit with a steady wind and the likeliest delay or lag; None if the study has a disturbance, or none helps."""
+    """The fit with a steady wind and the likeliest delay or lag.
+
+    Returns:
+        None if the study has a disturbance or several channels, or neither a delay nor a lag explains enough.
+    """
     is_usable = len(problem.study.loop.channels) == 1 and len(problem.readings) == 1 and not problem.count.is_stopped
     if not is_usable or problem.study.config.disturbance != ABSENT:
         return None

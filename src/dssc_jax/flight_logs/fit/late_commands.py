@@ -1,8 +1,8 @@
 """Whether a vehicle gets its commands later or earlier than they are logged: a dead time that a fit takes for a lag.
 
-Where a force acts from the start, or the plant begins at another state than rest, outputs at other times are no outputs
-for commands at other times. So the commands are shifted, too. Each shift is another simulation, for which the compiled
-prediction of several channels would have to be compiled again; studies of one channel are checked alone.
+Where a force acts from the start, or the plant does not begin at rest, a shift of the outputs differs from a shift of
+the commands. So the commands are shifted, too. Each shift is another simulation, for which the prediction of several
+channels would have to be compiled again, so that only studies of one channel are checked.
 """
 
 import math
@@ -26,7 +26,7 @@ class ShiftedCommands:
     """The problem of a fit with commands that are shifted by whole samples; all shifts have the same readings.
 
     Args:
-        problem: The problem, with the noise of its minimum; its simulations are not counted any more.
+        problem: The problem, with the noise of its minimum. Simulations of the shifted problems are not counted.
     """
 
     def __init__(self, problem: FitProblem) -> None:
@@ -35,7 +35,12 @@ class ShiftedCommands:
         self.variances = problem.variances
 
     def at(self, channels: Sequence[int], shift: int) -> FitProblem:
-        """The problem if the commands of some channels are later by a number of samples, with the same noise."""
+        """The problem, with the same noise, in which commands act later than logged; until then the first one acts.
+
+        Args:
+            channels: Positions of the channels whose commands are shifted.
+            shift: By how many samples they are later; negative: earlier.
+        """
         commands = self.problem.log.commands.copy()
         samples = commands.shape[1]
         sources = np.clip(np.arange(samples) - shift, 0, samples - 1)
@@ -49,7 +54,7 @@ class ShiftedCommands:
 
 
 def linearised_cost(equations: NormalEquations) -> float:
-    """The weighted sum of squares after one step of Gauss and Newton, if the prediction is linear in the numbers."""
+    """The weighted sum of squares after one Gauss-Newton step, as if the prediction were linear in the numbers."""
     if not math.isfinite(equations.cost):
         return math.inf
     step = np.linalg.lstsq(equations.information, equations.gradient, rcond=None)[0]

@@ -1,8 +1,8 @@
 """Whether logged outputs are later or earlier than the study predicts: a delay that a fit puts into other numbers.
 
-The outputs are shifted by whole samples: all together, all but one, as the position of a vehicle without its heading,
-and each channel alone. Where the search has ended early, no fit can be repeated, and the sum of squares near its best
-numbers counts.
+The outputs are shifted by whole samples: all channels together, all but one (such as the position of a vehicle without
+its heading), and each alone. Where the search has ended early, no fit can be repeated, and the linearised sum of
+squares at the best numbers decides.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import weighted_products
 
-MOST_REMAINING = 0.7  # share of the sum of squares that a shift may leave to be told without a fit
+MOST_REMAINING = 0.7  # share of the sum of squares that a shift may leave to be reported without a fit
 
 
 class ScreenedShift(NamedTuple):
@@ -31,8 +31,8 @@ class ScreenedShift(NamedTuple):
 
     Args:
         channels: Positions of the channels that are shifted.
-        shift: By how many samples they are later; 0: none is better.
-        remaining_share: Share of the weighted sum of squares that is left.
+        shift: By how many samples the outputs of these channels are later than predicted; 0: no shift is better.
+        remaining_share: Share of the weighted sum of squares that is left with the shift.
     """
 
     channels: tuple[int, ...]
@@ -45,7 +45,8 @@ class ShiftedOutputs:
 
     Args:
         problem: The problem, with the noise of its minimum.
-        margin: The longest shift, in samples, within which no reading is at either end.
+        margin: The longest shift, in samples. Readings so close to either end are dropped, so that all shifts have
+            the same readings.
     """
 
     def __init__(self, problem: FitProblem, margin: int) -> None:
@@ -65,7 +66,12 @@ class ShiftedOutputs:
         return all(counts[readings.channel] >= LEAST_SAMPLES for readings in self.problem.readings)
 
     def at(self, channels: Sequence[int], shift: int) -> FitProblem:
-        """The problem with some channels' outputs earlier by a number of samples, with the same noise."""
+        """The problem, with the same noise, in which late outputs are moved back in time.
+
+        Args:
+            channels: Positions of the channels whose outputs are moved.
+            shift: By how many samples they are moved to earlier times; negative: to later times.
+        """
         offsets = self.problem.log.offsets.copy()
         offsets[list(channels)] -= shift
         shifted = replace(
@@ -102,10 +108,10 @@ def screened_shift(shifts: ShiftedOutputs, x: np.ndarray, margin: int, white: bo
 
     Args:
         shifts: The problems.
-        x: The numbers.
-        margin: The longest shift.
-        white: Whether to take the residual of each channel for white noise: that of a poor fit is smooth for another
-            reason.
+        x: Coordinates of the numbers, shape (p,).
+        margin: The longest shift, in samples.
+        white: Whether the residual of each channel counts as white noise. The residual of a poor fit is smooth for
+            other reasons than correlated noise.
     """
     plain = shifts.at((), 0)
     prediction = plain.predict(plain.values(x), plain.log.commands)
@@ -149,7 +155,12 @@ def choices_of(channels: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def replace_prediction(problem: FitProblem, prediction: tuple[np.ndarray, np.ndarray]) -> FitProblem:
-    """Replace the prediction of a problem by one result, whatever the numbers; returns the problem."""
+    """Replace the prediction of a problem by one result, whatever the numbers; returns the problem.
+
+    Args:
+        problem: The problem.
+        prediction: The predicted outputs and their slopes.
+    """
     problem.predict = lambda values, commands, forces=None: prediction
     return problem
 
@@ -157,8 +168,8 @@ def replace_prediction(problem: FitProblem, prediction: tuple[np.ndarray, np.nda
 def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
     """The doubt about outputs, or commands, that are later or earlier than the study predicts, with the remedy.
 
-    Integrals at the first sample that explain the flight better than a delay take its place. The estimates are those
-    without a shift all the same: whether a delay is the log's or the vehicle's is not known.
+    If other integrals at the first sample explain the flight better than a delay, the doubt is about the integrals. The
+    estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
 
     Args:
         problem: The problem, with the noise of the minimum.
@@ -193,7 +204,7 @@ def output_delay_warning(problem: FitProblem, minimum: Minimum, lateness: Delay,
         problem: The problem.
         minimum: Its minimum without the delay.
         lateness: The delay.
-        remains: A sentence about what it leaves; empty if that is noise.
+        remains: A sentence about the residual that the delay leaves; empty if that is noise.
     """
     study = problem.study
     names = [signal_name(study.loop.channels[channel], "y") for channel in lateness.channels]
@@ -224,10 +235,14 @@ def output_delay_warning(problem: FitProblem, minimum: Minimum, lateness: Delay,
 
 
 def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
-    """The doubt about a search that has ended early, if a shift leaves a far smaller residual near its best numbers.
+    """The doubt about shifted outputs after a search that has ended early, if a shift leaves a far smaller residual.
 
-    A gust leaves a smooth residual, which any shift changes, so a study that declares one has no such doubt. A shift
-    that is the longest one is no delay.
+    A gust leaves a smooth residual, which any shift changes, so a study that declares gusts has no such doubt. If the
+    longest shift is the best one, it is not taken for a delay.
+
+    Args:
+        problem: The problem whose search has ended early.
+        minimum: The best minimum so far.
     """
     margin = longest_shift(problem)
     shifts = ShiftedOutputs(problem, margin)

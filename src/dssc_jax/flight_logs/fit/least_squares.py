@@ -33,12 +33,12 @@ TINY = 1e-300  # in place of 0 in a denominator
 
 
 def fit_scale(law: Law, values: np.ndarray | float) -> np.ndarray:
-    """Values on the scale of the fit."""
+    """Values on the scale of the fit: their logarithms if the law is logarithmic, else the values themselves."""
     return np.log(values) if law.logarithmic else np.asarray(values, float)
 
 
 def from_fit_scale(law: Law, values: np.ndarray | float) -> np.ndarray:
-    """The inverse of :func:`fit_scale`."""
+    """Convert values on the scale of the fit back to values of the number: the inverse of :func:`fit_scale`."""
     return np.exp(values) if law.logarithmic else np.asarray(values, float)
 
 
@@ -61,7 +61,13 @@ class Readings(NamedTuple):
 
     @classmethod
     def of(cls, log: SampledLog, channel: int, sample_time: float) -> "Readings":
-        """The readings of a channel."""
+        """The readings of a channel of a log, with the weights of Lagrange's polynomial through four samples.
+
+        Args:
+            log: The log.
+            channel: Position of the channel.
+            sample_time: Time between two samples [s].
+        """
         finite_rows = np.flatnonzero(np.isfinite(log.outputs[channel]))
         values = log.outputs[channel, finite_rows]
         position = finite_rows + log.offsets[channel, finite_rows]
@@ -92,7 +98,13 @@ class Readings(NamedTuple):
 
 
 class NormalEquations(NamedTuple):
-    """The normal equations at a point: r' S^-1 r, J' S^-1 r of shape (p,), and J' S^-1 J of shape (p, p)."""
+    """The normal equations at a point, including the laws of the numbers that keep them.
+
+    Args:
+        cost: Weighted sum of squares r' S^-1 r.
+        gradient: Descent direction J' S^-1 r, shape (p,).
+        information: Information matrix J' S^-1 J, shape (p, p).
+    """
 
     cost: float
     gradient: np.ndarray
@@ -109,10 +121,11 @@ class FitProblem:
         predict: The prediction for these numbers.
         log: The log.
         count: Counts the simulations.
-        kept: Those of the numbers that keep their laws.
+        kept: Names of the numbers that keep their laws.
         disturbances: The noise by the study's random disturbances, which problems of the same log share.
-        is_shifted: Whether signals are at other times than logged. Noise by the study's random disturbances then stays
-            that: commands answer the disturbances, so with later commands less of another noise may be left.
+        is_shifted: Whether signals are at other times than logged. Noise of the study's random disturbances is then not
+            replaced by another kind: commands answer the disturbances, so with later commands less of another noise
+            may be left.
     """
 
     study: Study
@@ -140,38 +153,38 @@ class FitProblem:
         self.variances = [max(float(np.var(readings.values)), readings.floor) for readings in self.readings]
 
     def scaled(self, x: np.ndarray) -> np.ndarray:
-        """The numbers on the scale of the fit, at coordinates."""
+        """The numbers on the scale of the fit at coordinates x, shape (p,)."""
         return self.medians + x * self.widths
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """The numbers at coordinates."""
+        """The values of the numbers at coordinates x, shape (p,)."""
         pairs = zip(self.laws, self.scaled(x), strict=True)
         return np.array([float(from_fit_scale(law, scaled)) for law, scaled in pairs])
 
     def named_values(self, x: np.ndarray) -> dict[str, float]:
-        """The numbers at coordinates, by name."""
+        """The values of the numbers at coordinates x, by name."""
         return dict(zip(self.names, self.values(x).tolist(), strict=True))
 
     def is_admissible(self, values: np.ndarray) -> bool:
         """Whether these values of the fitted numbers, and all numbers that follow from them, are in their ranges.
 
-        All other laws have their medians, which are checked, too.
+        Numbers with other laws have their medians, which are checked, too.
         """
         medians = {name: law.median for name, law in self.study.laws.items()}
         return not self.study.violations(medians | dict(zip(self.names, values.tolist(), strict=True)))
 
     def beyond_laws(self, x: np.ndarray) -> np.ndarray:
-        """How far each number is outside of its law at coordinates, in standard deviations of the law; 0 inside."""
+        """How far each number at coordinates x is outside of its law, in standard deviations of the law; 0 inside."""
         return np.maximum(0.0, np.maximum(self.lowest - x, x - self.highest))
 
     def is_far_outside(self, x: np.ndarray) -> bool:
-        """Whether a number is far outside of its law at coordinates."""
+        """Whether any number at coordinates x is far outside of its law."""
         return bool(np.any(self.beyond_laws(x) > FAR_OUTSIDE))
 
     def columns(
         self, x: np.ndarray, commands: np.ndarray | None = None, forces: np.ndarray | None = None
     ) -> list[np.ndarray]:
-        """Residual r and slopes J at coordinates, for each channel with readings, shape (n, 1 + p).
+        """Residual r, and slopes J of the prediction, of each channel with readings, as columns, shape (n, 1 + p).
 
         Args:
             x: The coordinates, shape (p,).
@@ -189,7 +202,12 @@ class FitProblem:
         return columns
 
     def normal_equations(self, x: np.ndarray, commands: np.ndarray | None = None) -> NormalEquations:
-        """The normal equations at coordinates; infinite cost where the simulated output diverges."""
+        """The normal equations at coordinates, after one simulation; the cost is infinite if the output diverges.
+
+        Args:
+            x: The coordinates, shape (p,).
+            commands: Commands in place of those of the log, shape (channels, samples); None: those of the log.
+        """
         self.count.add()
         count = len(self.names)
         products = np.zeros((1 + count, 1 + count))
@@ -212,15 +230,15 @@ class FitProblem:
 
     @property
     def fitted_names(self) -> list[str]:
-        """Names of these numbers."""
+        """Names of the numbers that do not keep their laws."""
         return [self.names[i] for i in self.fitted]
 
     def keeping(self, names: Iterable[str]) -> "FitProblem":
-        """The problem in which other numbers keep their laws, with white noise, as at the beginning of a search."""
+        """The problem in which the given numbers alone keep their laws; its noise is white, as before any search."""
         return replace(self, kept=frozenset(names))
 
     def noise_searches(self, x: np.ndarray) -> list[NoiseSearch]:
-        """The search for the noise of each channel's residual at coordinates."""
+        """The search for the noise of each channel's residual at coordinates x."""
         simulated = self.disturbances.simulate(self.study, self.names, self.values(x), self.log.commands)
         return [self.noise_search(row, columns, simulated) for row, columns in enumerate(self.columns(x))]
 
@@ -228,7 +246,7 @@ class FitProblem:
         """The search for the noise of a residual.
 
         Args:
-            row: Position of its readings.
+            row: Position of the channel's readings.
             columns: Residual and slopes, shape (n, 1 + p).
             simulated: Simulations of random disturbances, shape (replicates, channels, samples); None: there are none.
         """
@@ -243,9 +261,10 @@ class FitProblem:
         )
 
     def weight_as_declared(self) -> None:
-        """Replace the noises by those that the study declares, at the medians of the laws; white ones stay without any.
+        """Replace the noises by those that the study declares, at the medians of the laws; without any, keep them.
 
-        Commands answer disturbances. With white noise the search would begin near numbers that tell the controller.
+        Commands answer disturbances. With white noise the search would begin near numbers that describe the controller
+        instead of the plant.
         """
         medians = np.zeros(len(self.names))
         simulated = self.disturbances.simulate(self.study, self.names, self.values(medians), self.log.commands)
@@ -258,14 +277,20 @@ class FitProblem:
                 self.noises[row], self.variances[row] = declared
 
     def reweight(self, x: np.ndarray) -> None:
-        """Replace the noises by the likeliest ones of the residual at coordinates."""
+        """Replace the noises by the likeliest ones for the residual at coordinates x."""
         for row, search in enumerate(self.noise_searches(x)):
             self.noises[row], noise_fit = search.likeliest()
             self.variances[row] = noise_fit.variance
 
 
 def averaged_covariance(problem: FitProblem, posteriors: Sequence[NoisePosterior], x: np.ndarray) -> np.ndarray:
-    """Second moments of the coordinates about the estimate x over all noises that the residual allows, (p, p)."""
+    """Second moments of the coordinates about an estimate, averaged over all noises that the residual allows, (p, p).
+
+    Args:
+        problem: The problem.
+        posteriors: Posterior law of the noise of each channel's residual.
+        x: Coordinates of the estimate, shape (p,).
+    """
     count = len(problem.names)
     information = np.zeros((NOISE_DRAWS, count, count))
     gradient = np.zeros((NOISE_DRAWS, count))
@@ -274,6 +299,7 @@ def averaged_covariance(problem: FitProblem, posteriors: Sequence[NoisePosterior
         noise_fits = [candidate.fit for candidate in posterior.candidates]
         levels = np.cumsum([candidate.weight for candidate in posterior.candidates])
         candidate_indices = np.searchsorted(levels, (np.arange(NOISE_DRAWS) + 0.5) / NOISE_DRAWS * levels[-1])
+        # The draws have the candidates' shares; a random order makes the channels independent.
         candidate_indices = random.permutation(np.minimum(candidate_indices, len(levels) - 1))
         information += np.array([fit.information for fit in noise_fits])[candidate_indices]
         gradient += np.array([fit.gradient for fit in noise_fits])[candidate_indices]

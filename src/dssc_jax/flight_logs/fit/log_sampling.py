@@ -1,4 +1,4 @@
-"""From a log to outputs and commands at the samples of a study."""
+"""Resampling of a log: its outputs and commands at the samples of a study."""
 
 from collections.abc import Mapping, Sequence
 
@@ -36,8 +36,8 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     A command that was not logged is that of the analysed controller for the logged outputs.
 
     Raises:
-        ConfigError: The log has too few outputs, or a value beyond all units, or neither a command nor what its replay
-            needs.
+        ConfigError: The log has too few outputs, or a value beyond all units; or it lacks a command, and also a signal
+            that the analysed controller needs.
     """
     loop = study.loop
     samples = max(samples_within(log, loop.sample_time, loop.steps), 1)
@@ -78,7 +78,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
 
 
 class LogSampling:
-    """The outputs and commands of a log at a study's samples, channel by channel; fields as of :class:`SampledLog`.
+    """Collects a log's outputs and commands at a study's samples; its fields are those of :class:`SampledLog`.
 
     Args:
         study: The study.
@@ -102,7 +102,12 @@ class LogSampling:
         self.jumps: dict[str, float] = {}
 
     def add_output(self, row: int, output: np.ndarray) -> None:
-        """Add a channel's output; of one that is held or interpolated between rarer readings, the readings."""
+        """Add a channel's output. If it is held or interpolated between rarer readings, keep the readings alone.
+
+        Args:
+            row: Index of the channel.
+            output: The output at the samples, NaN where missing, shape (samples,).
+        """
         loop = self._study.loop
         name = signal_name(loop.channels[row], "y")
         samples = self.outputs.shape[1]
@@ -119,7 +124,12 @@ class LogSampling:
             self.interpolated[name] = len(is_bend) / np.count_nonzero(is_bend) * loop.sample_time
 
     def add_command(self, row: int, command: np.ndarray) -> None:
-        """Add a channel's logged command; of one that is interpolated between rarer ones, these."""
+        """Add a channel's logged command. If it is interpolated between rarer commands, keep these alone.
+
+        Args:
+            row: Index of the channel.
+            command: The command at the samples, NaN where missing, shape (samples,).
+        """
         name = signal_name(self._study.loop.channels[row], "u_total")
         self.commands[row] = command
         self.needed_signals.append(name)
@@ -138,7 +148,7 @@ class LogSampling:
 
         Args:
             row: Index of the channel.
-            signals: Its logged signals at the samples.
+            signals: Logged signals of the channel at the samples, by name.
             reference: The study's reference with two derivatives, shape (3, samples).
 
         Raises:
@@ -159,7 +169,7 @@ def require_outputs(study: Study, log: FlightLog, outputs: np.ndarray) -> None:
     """Require that some channel has enough outputs for a fit.
 
     Raises:
-        ConfigError: None has.
+        ConfigError: No channel has enough outputs.
     """
     channels = study.loop.channels
     if outputs.shape[1] < 4 or np.isfinite(outputs).sum(axis=1).max() < LEAST_SAMPLES:
@@ -174,10 +184,10 @@ def require_sizes(study: Study, log: FlightLog, signals: Sequence[Mapping[str, n
     Args:
         study: The study.
         log: The flight.
-        signals: Logged signals of each channel by their names without it, NaN where missing, shape (samples,) each.
+        signals: Signals of each channel by names without the channel, NaN where missing, shape (samples,) each.
 
     Raises:
-        ConfigError: One is larger.
+        ConfigError: An output or a command is larger than any unit could make it.
     """
     for channel, values_by_name in zip(study.loop.channels, signals, strict=True):
         for name in ("y", "u_total"):

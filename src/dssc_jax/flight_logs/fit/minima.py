@@ -15,8 +15,8 @@ from scipy import stats
 
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, NormalEquations, fit_scale
 
-ITERATIONS = 40  # of Gauss-Newton
-REWEIGHTINGS = 5  # of the residual by its noise
+ITERATIONS = 40  # most steps of Gauss-Newton
+REWEIGHTINGS = 5  # most times that the residual is weighted by its noise again
 LARGEST_STEP = 2.0  # prior standard deviations in one iteration
 SCREENED = 64  # points whose residuals are compared; the search starts at the best ones
 STARTS = 8  # of the search for the minimum, at first; the first one is at the medians of the laws
@@ -32,7 +32,13 @@ LEAST_GAIN = 0.1  # least decrease of the weighted sum of squares by which anoth
 
 
 class Minimum(NamedTuple):
-    """The end of a search: its coordinates, the normal equations there, and the number of starts that end there."""
+    """The end of a search.
+
+    Args:
+        x: Coordinates of the end, shape (p,).
+        equations: The normal equations at the end.
+        starts: Number of starts of the search that end there.
+    """
 
     x: np.ndarray
     equations: NormalEquations
@@ -45,9 +51,13 @@ class Minimum(NamedTuple):
 
 
 def minimise(problem: FitProblem, x: np.ndarray, starts: int = 1, to_end: bool = False) -> Minimum:
-    """Gauss-Newton with Levenberg's damping, from coordinates on, for a number of starts.
+    """Minimise the weighted sum of squares by Gauss-Newton steps with Levenberg's damping.
 
-    It ends early where the search has to end, unless ``to_end``.
+    Args:
+        problem: The problem.
+        x: Coordinates at which the steps begin, shape (p,).
+        starts: Number of starts of the search for which the minimum counts.
+        to_end: Whether to converge even if the search has reached a limit, which ends the steps otherwise.
     """
     damping = 1e-3
     equations = problem.normal_equations(x)
@@ -79,15 +89,18 @@ def minimise(problem: FitProblem, x: np.ndarray, starts: int = 1, to_end: bool =
 
 
 def candidate_points(problem: FitProblem) -> np.ndarray:
-    """Points at which the search may start, shape (m, p): the laws' medians, then Sobol's at quantiles of all laws."""
+    """Points at which the search may start, shape (m, p): the laws' medians, then quantiles at Sobol points."""
     levels = stats.qmc.Sobol(len(problem.names), rng=np.random.default_rng(0)).random(SCREENED)
-    levels[0] = 0.5
+    levels[0] = 0.5  # the medians
     scaled = [fit_scale(law, law.quantile(column)) for law, column in zip(problem.laws, levels.T, strict=True)]
     return (np.array(scaled).T - problem.medians) / problem.widths
 
 
 def screened_points(problem: FitProblem) -> np.ndarray:
-    """The candidates in the order of the search, shape (m, p): the medians, then by their residuals."""
+    """The candidates in the order of the search, shape (m, p): the medians, then the others by increasing residual.
+
+    Candidates that a limit of the search leaves without a simulation come last.
+    """
     points = candidate_points(problem)
     costs = np.full(len(points), np.inf)
     costs[0] = -np.inf
@@ -99,16 +112,23 @@ def screened_points(problem: FitProblem) -> np.ndarray:
 
 
 def cost_with_laws(problem: FitProblem, minimum: Minimum) -> float:
-    """The weighted sum of squares, and the squares of the distances outside of the laws.
+    """The weighted sum of squares, plus the squares of the distances by which numbers lie outside of their laws.
 
-    A log with unlikely numbers that tells them well has its minimum there all the same, since its sum of squares is far
-    larger elsewhere. Where it hardly tells a number, a minimum inside the laws is the better one.
+    A log that determines unlikely numbers well keeps its minimum there, because its sum of squares is far larger
+    elsewhere. Where a log hardly determines a number, a minimum inside the laws is the better one.
+
+    Args:
+        problem: The problem.
+        minimum: The minimum.
     """
     return minimum.cost + float(np.sum(problem.beyond_laws(minimum.x) ** 2))
 
 
 def distinct_minima(problem: FitProblem, ends: Sequence[Minimum]) -> list[Minimum]:
-    """Minima that differ, the best first; without infinite ones."""
+    """The distinct minima among the ends of searches, the best first, without those of infinite cost.
+
+    Ends in the same minimum count once, with the sum of their starts.
+    """
     minima: list[Minimum] = []
     finite = [end for end in ends if math.isfinite(end.cost)]
     for end in sorted(finite, key=lambda end: cost_with_laws(problem, end)):
@@ -122,14 +142,19 @@ def distinct_minima(problem: FitProblem, ends: Sequence[Minimum]) -> list[Minimu
 
 
 def unseen_minima(starts: int, minima: int) -> float:
-    """Expected number of minima that no start has led to, by Boender and Rinnooy Kan's rule."""
+    """Expected number of minima that no start has led to, by Boender and Rinnooy Kan's rule.
+
+    Args:
+        starts: Number of starts.
+        minima: Number of distinct minima that they have led to.
+    """
     if starts <= minima + 2:
         return math.inf
     return minima * (starts - 1) / (starts - minima - 2) - minima
 
 
 class MinimumSearch(NamedTuple):
-    """The best minimum and its rivals, all by the noise of the best one, and the number of starts of the search."""
+    """The best minimum and its rivals, all weighted by the noise of the best one, and the number of starts."""
 
     best: Minimum
     rivals: list[Minimum]
@@ -137,7 +162,14 @@ class MinimumSearch(NamedTuple):
 
 
 def reweighted_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
-    """Minimise from another minimum, weighted by the noise of the residual, which the problem then has."""
+    """Minimise from another minimum on, in turns with weighting by the likeliest noise of the residual.
+
+    The noise of ``problem`` is replaced in place.
+
+    Args:
+        problem: The problem.
+        minimum: The minimum from whose coordinates the search goes on.
+    """
     starts = minimum.starts
     minimum = minimise(problem, minimum.x, starts, to_end=True)
     for _ in range(REWEIGHTINGS):
@@ -151,7 +183,14 @@ def reweighted_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
 
 
 def random_rays(seed: int, shape: tuple[int, int], nearest: float, farthest: float) -> np.ndarray:
-    """Random directions, one in each row, with lengths between two."""
+    """Vectors in random directions, one in each row, with random lengths.
+
+    Args:
+        seed: Seed of the random numbers.
+        shape: Number of vectors and of their elements.
+        nearest: The least length.
+        farthest: The largest length.
+    """
     random = np.random.default_rng(seed)
     rays = random.normal(size=shape)
     return rays * random.uniform(nearest, farthest, (shape[0], 1)) / np.linalg.norm(rays, axis=1, keepdims=True)
@@ -184,7 +223,7 @@ def neighbouring_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
 
 
 def searched_minima(problem: FitProblem) -> list[Minimum]:
-    """Search from the best of many points, and return the ends, or those so far at a limit or an interrupt."""
+    """Search from the best of many points; return all ends, or those found before a limit or an interrupt."""
     ends: list[Minimum] = []
     try:
         points = screened_points(problem)
@@ -203,7 +242,12 @@ def searched_minima(problem: FitProblem) -> list[Minimum]:
 
 
 def find_minima(problem: FitProblem, starting_minima: Sequence[Minimum] = ()) -> MinimumSearch | None:
-    """Find the minima from several starts, or from given minima; None if no start has a finite output."""
+    """Find the minima from several starts, or from given minima; None if the output diverges from every start.
+
+    Args:
+        problem: The problem, whose noises are replaced in place.
+        starting_minima: Minima to start from; empty: a search from many points.
+    """
     problem.weight_as_declared()
     ends = [minimise(problem, minimum.x, minimum.starts) for minimum in starting_minima] or searched_minima(problem)
     minima = distinct_minima(problem, ends)

@@ -52,7 +52,7 @@ class Part(NamedTuple):
         remedy: What to do.
         actuator: Its model, if it is one of an actuator.
         commands: (Flight, size) -> commands that a plant with the part gets, before the study's actuator, shape (n,).
-        sizes: Flight -> first sizes.
+        sizes: Flight -> sizes that are tried first.
         is_positive: Whether only positive sizes are possible, whose logarithms are fitted.
         is_possible: (Flight, size) -> whether the size means something on this flight.
         choices: Number of such parts of which it is the likeliest.
@@ -84,32 +84,32 @@ class Part(NamedTuple):
 
 
 def quadratic_drag(speed: np.ndarray) -> np.ndarray:
-    """The course of a force that grows with the square of the speed, and acts against it; shape (n,)."""
+    """Drag of the size 1: a force that grows with the square of the speed, and acts against it; shape (n,)."""
     return -speed * np.abs(speed)
 
 
 def friction(speed: np.ndarray) -> np.ndarray:
-    """The course of a force of constant size against the speed, which passes through 0 at rest; shape (n,)."""
+    """Friction of the size 1: a constant force against the speed, which passes through 0 at rest; shape (n,)."""
     return -speed / np.hypot(speed, REST * float(np.abs(speed).max()) + TINY)
 
 
 def drag_forces(flight: Flight, size: float) -> np.ndarray:
-    """Quadratic drag, whose size is that at a speed of 1."""
+    """Forces of quadratic drag, shape (n,) [u]; the size is the drag at a speed of 1."""
     return size * quadratic_drag(flight.speed)
 
 
 def friction_forces(flight: Flight, size: float) -> np.ndarray:
-    """Friction of a size."""
+    """Forces of friction of the given size, shape (n,) [u]."""
     return size * friction(flight.speed)
 
 
 def constant_forces(flight: Flight, size: float) -> np.ndarray:
-    """A constant force of a size."""
+    """A constant force of the given size at all samples, shape (n,) [u]."""
     return np.full(len(flight.commands), size)
 
 
 def behind(model: Unmodelled) -> Callable[[Flight, float], np.ndarray]:
-    """(Flight, size) -> means over each sample of the output of an actuator, whose first parameter is the size."""
+    """The commands behind an actuator whose first parameter is the size: (flight, size) -> means over each sample."""
     return lambda flight, size: actuated_commands(model, model.params(size), flight.commands, flight.sample_time)
 
 
@@ -119,17 +119,17 @@ def fading(flight: Flight, size: float) -> np.ndarray:
 
 
 def late(flight: Flight, size: float) -> np.ndarray:
-    """Commands that act later by a time [s]; the first one acts before them."""
+    """Commands that act later by the size [s]; until then the first command acts."""
     return delayed(flight.commands, size / flight.sample_time)
 
 
 def on_time(flight: Flight, size: float) -> np.ndarray:
-    """The commands themselves, beside a force, or of a log whose outputs are late or filtered."""
+    """The commands as they are, of a part that is a force or changes the outputs; the size does not matter."""
     return flight.commands
 
 
 def delayed(series: np.ndarray, samples: float) -> np.ndarray:
-    """A series that is later by a number of samples, with means between whole ones; shape (..., n)."""
+    """A series delayed by a number of samples, interpolated linearly between whole ones; shape (..., n)."""
     positions = np.maximum(np.arange(series.shape[-1]) - samples, 0.0)
     first = np.floor(positions).astype(int)
     share = positions - first
@@ -138,39 +138,39 @@ def delayed(series: np.ndarray, samples: float) -> np.ndarray:
 
 
 def drag_sizes(flight: Flight) -> tuple[float, ...]:
-    """A small drag beside the commands."""
+    """The size of drag that is tried first: its forces are small beside the commands."""
     return (force_sizes(flight)[0] / max(rms(quadratic_drag(flight.speed)), TINY),)
 
 
 def force_sizes(flight: Flight) -> tuple[float, ...]:
-    """A small force beside the commands, or a small one where all are 0."""
+    """The size of a force [u] that is tried first: a share of the commands' rms, or of 1 if all commands are 0."""
     return (PROBE * (rms(flight.commands) or 1.0),)
 
 
 def lag_sizes(flight: Flight) -> tuple[float, ...]:
-    """Time constants [s] from half a sample on, which are short beside the flight."""
+    """Time constants of a lag [s] that are tried first: from half a sample on, and short beside the flight."""
     return tuple(flight.sample_time * samples for samples in LAGS if 10.0 * samples < len(flight.commands))
 
 
 def limit_sizes(flight: Flight) -> tuple[float, ...]:
-    """Limits that the commands reach."""
+    """Limits of the command [u] that are tried first, all below the largest command."""
     largest = float(np.abs(flight.commands).max())
     return tuple(largest * level for level in LEVELS)
 
 
 def dead_zone_sizes(flight: Flight) -> tuple[float, ...]:
-    """Half widths that are small beside the commands."""
+    """Half widths of a dead zone [u] that are tried first, all small beside the largest command."""
     largest = float(np.abs(flight.commands).max())
     return tuple(largest * width for width in WIDTHS)
 
 
 def rate_sizes(flight: Flight) -> tuple[float, ...]:
-    """Rates that the commands exceed."""
+    """Limits of the rate [u/s] that are tried first, all below the largest rate of the commands."""
     return tuple(largest_rate(flight) * share for share in RATES)
 
 
 def step_sizes(flight: Flight) -> tuple[float, ...]:
-    """Steps of a rounded command: numbers of two digits, and others so near to each other that a small effect shows."""
+    """Steps of a rounded command [u] that are tried first: numbers of two digits, then a fine geometric series."""
     size = rms(flight.commands)
     if size == 0.0:
         return (1.0,)
@@ -181,52 +181,52 @@ def step_sizes(flight: Flight) -> tuple[float, ...]:
 
 
 def largest_rate(flight: Flight) -> float:
-    """The largest change of the command from one sample to the next, over their time."""
+    """The largest change of the command from one sample to the next, over the sample time [u/s]."""
     return float(np.abs(np.diff(flight.commands)).max()) / flight.sample_time
 
 
 def fading_sizes(flight: Flight) -> tuple[float, ...]:
-    """A small fall of the gain."""
+    """The share by which a gain falls that is tried first: a small one, whatever the flight."""
     return (PROBE,)
 
 
 def is_against(flight: Flight, size: float) -> bool:
-    """Whether a force acts against the speed."""
+    """Whether a force of this size acts against the speed, as drag and friction do on any flight."""
     return size > 0.0
 
 
 def is_any(flight: Flight, size: float) -> bool:
-    """Any size means something."""
+    """True: any size means something on any flight."""
     return True
 
 
 def is_reached(flight: Flight, size: float) -> bool:
-    """Whether commands reach a limit."""
+    """Whether the commands exceed a limit of this size [u]."""
     return 0.0 < size < float(np.abs(flight.commands).max())
 
 
 def is_narrow(flight: Flight, size: float) -> bool:
-    """Whether a dead zone leaves the larger commands."""
+    """Whether a dead zone of this half width [u] lets the larger commands pass."""
     return 0.0 < size < 0.5 * float(np.abs(flight.commands).max())
 
 
 def is_rounding(flight: Flight, size: float) -> bool:
-    """Whether a step leaves several values of the commands."""
+    """Whether rounding to multiples of this step [u] leaves several values of the commands."""
     return 0.0 < size < float(np.abs(flight.commands).max()) / 2.0
 
 
 def is_exceeded(flight: Flight, size: float) -> bool:
-    """Whether commands change faster than a rate."""
+    """Whether the commands change faster than this rate [u/s]."""
     return 0.0 < size < largest_rate(flight)
 
 
 def is_short(flight: Flight, size: float) -> bool:
-    """Whether a lag is short beside the flight."""
+    """Whether a lag or a delay of this time [s] is short beside the flight."""
     return 0.0 < size < 0.2 * flight.sample_time * len(flight.commands)
 
 
 def is_moderate(flight: Flight, size: float) -> bool:
-    """Whether a change of the gain leaves most of it."""
+    """Whether the gain changes by less than the largest share that is believed, ``MOST_CHANGE``."""
     return abs(size) < MOST_CHANGE
 
 
@@ -241,9 +241,9 @@ def actuator_part(
     """A part of an actuator of the package, whose first parameter is its positive size.
 
     Args:
-        code: As of :class:`Part`, like ``words``, ``sizes`` and ``is_possible``.
-        words: What it is.
-        noun: Its name in the remedy.
+        code: Code of the part's warning; see :class:`Part` for this and the other fields.
+        words: What the part is.
+        noun: Name of the part in the remedy.
         model: The actuator.
         sizes: First sizes.
         is_possible: Whether a size means something.

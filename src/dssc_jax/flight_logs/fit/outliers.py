@@ -15,7 +15,7 @@ OUTSTANDING = 8.0  # factor on the usual change from one reading to the next: a 
 MOST_SHARE = 0.06  # of the changes that may stand out, two for a spike: more are the study's or the noise's way
 MOST_CHANGES = 4  # that may stand out in a short log
 CLOSE = 1.5  # factor on the usual time between readings: over a longer one, a change says nothing
-ALONE = 0.3  # share of a change: its neighbours are smaller, and an opposite one is as near to it
+ALONE = 0.3  # share of an outlying change: changes beside it are smaller, and a return differs from it by less
 NAMED = 3  # readings that a message names
 
 
@@ -25,7 +25,7 @@ class Outlier(NamedTuple):
     Args:
         time: Time of the reading [s].
         size: The change, in the output's unit.
-        lasts: Whether the readings after it have it, too.
+        lasts: Whether the readings after it keep the change (a jump), or the next one returns (a single outlier).
     """
 
     time: float
@@ -54,7 +54,7 @@ def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Out
     rows = np.flatnonzero(is_large)
     if usual_change == 0.0 or len(rows) > max(MOST_CHANGES, MOST_SHARE * len(changes)):
         return []
-    padded_changes = np.concatenate([[0.0], changes, [0.0, 0.0]])  # the changes from the one before on
+    padded_changes = np.concatenate([[0.0], changes, [0.0, 0.0]])  # element i is the change before change i
     result = []
     last_counted_row = -1
     for row in rows.tolist():
@@ -72,7 +72,11 @@ def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Out
 def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[SignalWarning, ...]:
     """The doubts about readings that stand out of the residual at coordinates x, by channel, with the remedy.
 
-    Changes that a rounding of the readings makes, however fine it is beside the output, are told as that.
+    Changes that a rounding of the readings can make are reported as rounding, however fine this is beside the output.
+
+    Args:
+        problem: The least-squares problem of the log.
+        x: Coordinates of the numbers, shape (p,).
     """
     doubts = []
     for readings, columns in zip(problem.readings, problem.columns(x), strict=True):
@@ -101,6 +105,6 @@ def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[SignalWarning, .
 
 
 def list_text(changes: list[Outlier], unit: str) -> str:
-    """Sizes and times of the first outliers, and the number of the others."""
+    """Sizes and times of the first outliers, and the number of the others, in words."""
     further = f" and at {len(changes) - NAMED} more times" if len(changes) > NAMED else ""
     return ", ".join(outlier.text(unit) for outlier in changes[:NAMED]) + further

@@ -1,4 +1,4 @@
-"""What a fit says of a part that the study lacks: the best one, those that explain the flight nearly as well, and why.
+"""Warnings about parts that a study lacks: the best one, with those that explain the flight nearly as well.
 
 A delay and a lag of the same time move the outputs alike, so delays are compared with the parts.
 """
@@ -31,7 +31,7 @@ from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE
 from dssc_jax.flight_logs.fit.sudden_parts import fitted_sudden_part, lacking_sudden_parts
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
-EQUALLY = 2.0  # difference of twice the log likelihood of causes of which none is likelier (barely worth a mention)
+EQUALLY = 2.0  # difference of twice the log likelihood, below which no cause is likelier (barely worth a mention)
 LARGE_PART = 0.5  # share of a refused residual that may be left if a part explains it
 SMALL_PART = 0.05  # share of a residual that is left if a part explains nearly all of it, whatever the noise
 EXPLAINED = 0.7  # share of a doubtful residual that is left if a part explains it, whatever it moves
@@ -43,9 +43,9 @@ class PartDoubts(NamedTuple):
     """The doubts about parts that a study lacks.
 
     Args:
-        warnings: The warnings; none, or that of the best part.
-        residual: Root mean square of the residual with that part; infinite without one.
-        exceeds_delays: Whether that part explains the flight clearly better than any delay.
+        warnings: The warning of the best part; empty: no part matters.
+        residual: Root mean square of the residual with the best part; infinite without one.
+        exceeds_delays: Whether the best part explains the flight clearly better than any delay.
     """
 
     warnings: tuple[SignalWarning, ...] = ()
@@ -62,7 +62,7 @@ class PartCauses(NamedTuple):
     Args:
         best: The fit with the best part.
         rivals: The fits that explain the flight nearly as well or better, with a part or a delay, the best first.
-        exceeds_delays: Whether the best part explains it clearly better than any delay.
+        exceeds_delays: Whether the best part explains the flight clearly better than any delay.
     """
 
     best: PartFit
@@ -83,8 +83,8 @@ def part_causes(
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
         starts: Coordinates of the numbers from which fits with a part begin, shape (p,) each.
-        has_delay: Whether a delay has been told: then a part that explains far less is no cause.
-        matters: Whether a certain part is worth a word.
+        has_delay: Whether another warning names a delay: a part that explains far less than a delay is then no cause.
+        matters: Tells of a part that certainly improves the fit whether it is worth a warning.
     """
     if len(problem.study.loop.channels) > 1 or len(problem.readings) != 1 or problem.count.is_stopped:
         return None
@@ -92,7 +92,7 @@ def part_causes(
     parts = lacking_parts(problem.study)
     sudden_parts = lacking_sudden_parts(problem.study)
     has_both_lags = all(part in parts for part in TWIN_LAGS)  # which are one cause
-    single = sum(part.choices == 1 for part in parts)  # many choices pay for themselves, and so do all sudden parts
+    single = sum(part.choices == 1 for part in parts)  # the p-values of all others count their own choices
     candidates = single + bool(sudden_parts) - has_both_lags
     without = fit_without_part(problem, minimum, candidates, starts)
     fits = [fitted_part(problem, without, flight, part) for part in parts]
@@ -126,7 +126,7 @@ def likeliest(fits: list[PartFit]) -> PartFit:
 
 
 def distinguished(fits: list[PartFit], signals: Mapping[str, np.ndarray], sample_time: float) -> list[PartFit]:
-    """The fits, with the lag of the output alone in place of both lags if the logged derivative shows it.
+    """The fits; if the logged derivative shows a lag of the output alone, this lag replaces both lags.
 
     Args:
         fits: The fits.
@@ -146,7 +146,14 @@ def distinguished(fits: list[PartFit], signals: Mapping[str, np.ndarray], sample
 
 
 def is_plausible(fit: PartFit, result: Explained) -> bool:
-    """Whether a part may be what the study lacks: one of many choices resembles others, and must leave noise alone."""
+    """Whether a part may be what the study lacks.
+
+    A part with many choices can imitate another cause, so it has to leave nothing but noise.
+
+    Args:
+        fit: The fit with the part.
+        result: How well the study describes the readings without the part.
+    """
     return fit.part.choices == 1 or fit.residual <= MUCH_LARGER * result.limit
 
 
@@ -162,11 +169,11 @@ def part_doubts(
         minimum: The minimum.
         deviations: Standard deviations of the fitted coordinates, shape (f,).
         result: How well the study describes the readings of the first channel.
-        has_delay: Whether a delay has been told.
+        has_delay: Whether another warning names a delay.
     """
 
     def matters(fit: PartFit) -> bool:
-        """Whether the part changes what the fit says, and does not leave more."""
+        """Whether the part explains a doubtful residual or moves a number far, and does not enlarge the residual."""
         if not is_plausible(fit, result) or (fit.residual > result.residual and not declares_noise(problem.study)):
             return False
         explains = result.is_doubtful and fit.residual < EXPLAINED * result.residual
@@ -189,13 +196,13 @@ def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, result: Explai
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
         result: How well the study describes the readings of the first channel.
-        has_delay: Whether a delay has been told.
+        has_delay: Whether another warning names a delay.
     """
     residual = Refit(problem, minimum).residual(0)
     has_gusts = declares_noise(problem.study)
 
     def matters(fit: PartFit) -> bool:
-        """Whether the part explains far more, so that the fit would be accepted."""
+        """Whether the part leaves so little that a fit with it would be accepted; with gusts, likelihood decides."""
         if not is_plausible(fit, result):
             return False
         is_small = fit.residual < LARGE_PART * residual and result.unexplained_by(fit.residual) < MOST_UNEXPLAINED
@@ -232,14 +239,14 @@ def doubt_of_refusal(problem: FitProblem, result: Explained, causes: PartCauses)
 
 
 def comparison(rival: PartFit, best: PartFit) -> str:
-    """How well a rival explains the flight beside the best part, in words."""
+    """How well a rival explains the flight in comparison with the best part, in words."""
     if abs(rival.gain - best.gain) < EQUALLY:
         return "explains it equally well"
     return "explains it better" if rival.gain > best.gain else "explains it nearly as well"
 
 
 def remedy_of(causes: PartCauses) -> str:
-    """What to do about the best part; of two lags, about the right one."""
+    """What to do about the best part; if the flight does not tell two lags apart, what to do about each of them."""
     remedy = causes.best.part.remedy
     others = [rival.part for rival in causes.rivals if rival.part in TWIN_LAGS]
     if causes.best.part not in TWIN_LAGS or not others:
@@ -248,7 +255,14 @@ def remedy_of(causes: PartCauses) -> str:
 
 
 def largest_move(problem: FitProblem, minimum: Minimum, fit: PartFit, deviations: np.ndarray) -> float:
-    """The largest distance by which a part moves a fitted number, in standard deviations."""
+    """The largest distance by which a part moves a fitted number, in the standard deviations of the coordinates.
+
+    Args:
+        problem: The problem.
+        minimum: The minimum without the part.
+        fit: The fit with the part.
+        deviations: Standard deviations of the fitted coordinates, shape (f,).
+    """
     return float(np.max(np.abs(fit.x - minimum.x)[problem.fitted] / deviations))
 
 

@@ -36,8 +36,8 @@ class PartPoint(NamedTuple):
 
     Args:
         x: Coordinates of the numbers, shape (p,).
-        scale: Size of the part for the scaled size 1.
-        scaled: The scaled size z: the size is scale exp(z) of positive sizes, scale z of others.
+        scale: Unit s of the part's size, such as the first size that is tried.
+        scaled: The scaled size z. The size is s exp(z) if only positive sizes are possible, else s z.
     """
 
     x: np.ndarray
@@ -52,7 +52,7 @@ class FitWithoutPart(NamedTuple):
         minimum: The minimum without a part.
         likelihood: Logarithm of the likelihood there, under its noise.
         simulated: What simulated disturbances and winds add to the outputs; None if the study has none.
-        candidates: Number of parts that are tried, but for those of many choices.
+        candidates: Number of parts that are tried, not counting those with many choices.
         starts: Coordinates of the numbers from which fits with a part begin, shape (p,) each.
     """
 
@@ -71,7 +71,7 @@ def fit_without_part(
     Args:
         problem: The problem of one channel, with the noise of its minimum.
         minimum: The minimum.
-        candidates: Number of parts that are tried, but for those of many choices.
+        candidates: Number of parts that are tried, not counting those with many choices.
         starts: Coordinates of the numbers from which fits with a part begin, shape (p,) each.
     """
     (readings,) = problem.readings
@@ -92,10 +92,10 @@ class PartFit(NamedTuple):
         size: Its size.
         deviation: Standard deviation of the size.
         x: Coordinates of the numbers with it, shape (p,).
-        gain: How much it adds to twice the logarithm of the likelihood, less twice that of the parts from which it is
-            chosen.
-        p_value: Largest probability of as large a gain by one of the parts, if none is there.
-        residual: Root mean square of the residual with it.
+        gain: What the part adds to twice the logarithm of the likelihood, less twice the logarithm of the number of
+            choices from which it is the likeliest.
+        p_value: Largest probability that any of the parts has as large a gain if none is there.
+        residual: Root mean square of the residual with the part.
         noise: Noise of that residual.
     """
 
@@ -128,26 +128,29 @@ class PartProblem:
         return point.scale * (math.exp(point.scaled) if self.part.is_positive else point.scaled)
 
     def is_possible(self, point: PartPoint) -> bool:
-        """Whether the numbers at a point are in their ranges, and the size of the part means something."""
+        """Whether the numbers at a point are in their ranges, and a size that has to be positive means something.
+
+        Sizes of either sign are judged after the fit alone.
+        """
         size = self.size(point)
         in_range = self.problem.is_admissible(self.problem.values(point.x))
         return in_range and (not self.part.is_positive or self.part.is_possible(self.flight, size))
 
     def columns(self, point: PartPoint) -> np.ndarray:
-        """Residual and slopes at a point, of the numbers and of the scaled size, shape (n, 2 + p)."""
+        """The residual at a point, and the prediction's slopes by numbers and scaled size, as columns, (n, 2 + p)."""
         columns = self.residual_columns(point)
         moved = self.residual_columns(point._replace(scaled=point.scaled + DIFFERENCE))
         return np.column_stack([columns, (columns[:, 0] - moved[:, 0]) / DIFFERENCE])
 
     def residual_columns(self, point: PartPoint) -> np.ndarray:
-        """Residual and slopes by the numbers at a point, shape (n, 1 + p)."""
+        """The residual at a point, and the prediction's slopes by the numbers, as columns, shape (n, 1 + p)."""
         problem = copy(self.problem)
         problem.predict = self.prediction(point)
         (columns,) = problem.columns(point.x, self.commands(point), self.forces(point))
         return columns
 
     def prediction(self, point: PartPoint) -> Prediction:
-        """What the log has of the predicted output."""
+        """The prediction of what the log shows of the output: late or filtered, if the part does that."""
         shown = self.part.outputs
         if shown is None:
             return self.problem.predict
@@ -156,7 +159,7 @@ class PartProblem:
         def predict(
             values: np.ndarray, commands: np.ndarray, forces: np.ndarray | None = None
         ) -> tuple[np.ndarray, np.ndarray]:
-            """The prediction, as the log has it."""
+            """The predicted output and its slopes, behind the part."""
             predicted, slopes = self.problem.predict(values, commands, forces)
             return shown(predicted, samples), shown(slopes, samples)
 
@@ -171,14 +174,18 @@ class PartProblem:
         return self.part.forces_on(self.flight, self.size(point))
 
     def products(self, noise: Noise, columns: np.ndarray) -> np.ndarray:
-        """Weighted products of columns."""
+        """Products of columns, shape (n, m), weighted by a noise, shape (m, m); infinite if a column is not finite."""
         (readings,) = self.problem.readings
         if not np.isfinite(columns).all():
             return np.full((columns.shape[1],) * 2, math.inf)
         return weighted_products(noise, readings.times, columns)[0]
 
     def start(self, x: np.ndarray) -> PartPoint:
-        """The best of the first sizes, after one step of the numbers."""
+        """The point at which the steps begin, for coordinates x of the numbers, shape (p,).
+
+        For positive sizes it has the best of the first sizes, and numbers after one step with that size. Any other part
+        begins at the size 0.
+        """
         noise, variance = self.problem.noises[0], self.problem.variances[0]
         sizes = self.part.sizes(self.flight)
         if not self.part.is_positive:
@@ -195,14 +202,25 @@ class PartProblem:
         return points[int(np.argmin(costs))]
 
     def deviation(self, point: PartPoint, products: np.ndarray) -> float:
-        """The standard deviation of the size at a minimum, by the products of residual and slopes over the variance."""
+        """The standard deviation of the size at a minimum.
+
+        Args:
+            point: The minimum.
+            products: Weighted products of residual and slopes over the variance of the noise, shape (2 + p, 2 + p).
+        """
         information = products[1:, 1:] + np.diag(np.append(self.problem.prior, 0.0))
         variance = float(np.linalg.pinv(information, hermitian=True)[-1, -1])
         slope = self.size(point) if self.part.is_positive else point.scale
         return abs(slope) * math.sqrt(max(variance, 0.0))
 
     def minimum(self, point: PartPoint, noise: Noise, variance: float) -> PartPoint:
-        """Steps of Gauss and Newton from a point on, under a noise; one that does not lower the squares is halved."""
+        """The point after Gauss-Newton steps from a given point, each halved until it lowers the sum of squares.
+
+        Args:
+            point: The point at which the steps begin.
+            noise: Noise by which residual and slopes are weighted.
+            variance: Variance of the noise.
+        """
         prior = np.append(self.problem.prior, 0.0)
         cost = self.cost(point, noise, variance)
         for _ in range(STEPS):
@@ -227,19 +245,25 @@ class PartProblem:
         return point
 
     def cost(self, point: PartPoint, noise: Noise, variance: float) -> float:
-        """Weighted sum of squares at a point, with the laws that count."""
+        """Weighted sum of squares at a point, with those of the numbers that keep their laws.
+
+        Args:
+            point: The point.
+            noise: Noise by which the residual is weighted.
+            variance: Variance of the noise.
+        """
         products = self.products(noise, self.residual_columns(point)[:, :1])
         return float(products[0, 0]) / variance + float(self.problem.prior @ point.x**2)
 
 
 def bounded_step(products: np.ndarray, prior: np.ndarray, x: np.ndarray, bounded: int) -> np.ndarray:
-    """The step of Gauss and Newton by products of the residual and its slopes, of at most 2 in bounded coordinates.
+    """The Gauss-Newton step, shortened so that no bounded coordinate moves by more than 2, shape (p,).
 
     Args:
-        products: The products over the variance, shape (1 + p, 1 + p).
+        products: Weighted products of residual and slopes over the variance, shape (1 + p, 1 + p).
         prior: Information of the laws that count, shape (p,).
         x: Coordinates, shape (p,).
-        bounded: How many of the first coordinates are bounded.
+        bounded: Number of bounded coordinates, which are the first ones.
     """
     if not np.isfinite(products).all():
         return np.zeros(len(prior))
@@ -251,7 +275,7 @@ def bounded_step(products: np.ndarray, prior: np.ndarray, x: np.ndarray, bounded
 
 
 def fitted_part(problem: FitProblem, without: FitWithoutPart, flight: Flight, part: Part) -> PartFit | None:
-    """Fit a log with a part; None if it does not explain the residual, or with a size that means nothing.
+    """Fit a log with a part; None if the part does not lower the residual, or only with a size that means nothing.
 
     Args:
         problem: The problem of one channel, with the noise of its minimum.

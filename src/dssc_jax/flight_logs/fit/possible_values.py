@@ -1,4 +1,4 @@
-"""Whether the numbers of a fit can be those of the vehicle: what lies far outside a law has a cause in the log."""
+"""Whether the numbers of a fit can be those of the vehicle: a number far outside its law has a cause in the log."""
 
 import math
 
@@ -10,8 +10,8 @@ from dssc_jax.flight_logs.fit.refusals import MOST_UNEXPLAINED, Explained, NotId
 from dssc_jax.flight_logs.hints.conversions import factor_text
 from dssc_jax.study import Law
 
-ABSURD = 20.0  # standard deviations of a law beyond its ends
-ABSURD_RATIO = 2.5  # to the median of a law; a value beyond both is no number of this vehicle
+ABSURD = 20.0  # standard deviations of a law beyond its ends, and
+ABSURD_RATIO = 2.5  # ratio to the median of a law: a value beyond both limits is no number of this vehicle
 EXPLAINS_NOTHING = 0.9  # least share of an output's standard deviation that is left as residual
 UNIT_RATIO = 3.0  # of a value to the nearest end of its law: a larger one, or its inverse, may be that of a unit
 
@@ -19,10 +19,16 @@ UNIT_RATIO = 3.0  # of a value to the nearest end of its law: a larger one, or i
 def require_plausible(problem: FitProblem, x: np.ndarray, results: list[Explained]) -> None:
     """Require that no number is far outside its law where the simulated output explains nothing of the logged one.
 
-    A controller that holds a place in a gust gives commands against it, and the best gain for them is 0.
+    A controller that holds a place gives commands against a gust. The vehicle hardly moves, so that the best gain of
+    the commands is 0.
+
+    Args:
+        problem: The problem.
+        x: Coordinates of the minimum, shape (p,).
+        results: How well the study describes each channel there.
 
     Raises:
-        NotIdentifiable: One is; the message has the farthest.
+        NotIdentifiable: A number is; the message names the one that is farthest outside.
     """
     beyond = np.where(problem.is_kept, 0.0, problem.beyond_laws(x))
     farthest = int(np.argmax(beyond))
@@ -39,12 +45,17 @@ def require_plausible(problem: FitProblem, x: np.ndarray, results: list[Explaine
 def require_possible(problem: FitProblem, x: np.ndarray, results: list[Explained]) -> None:
     """Require that no number is absurdly far outside its law, as where an output is logged in another unit.
 
-    A number is so, too, if the multiple of a known unit takes it from far outside its law into it; or if it is several
-    times as large or as small as all that its law holds, and more is left unexplained than a fit accepts, although not
-    with the confidence that a refusal for the residual needs.
+    A number also counts as such if it is several times as large or as small as all values of its law, and one of two
+    conditions holds. Either the factor of a known unit brings it into the law; or the residual is doubtful and leaves
+    more unexplained than a fit accepts, although not with the confidence that a refusal for the residual needs.
+
+    Args:
+        problem: The problem.
+        x: Coordinates of the minimum, shape (p,).
+        results: How well the study describes each channel there.
 
     Raises:
-        Unexplained: One is; the message has the value, and the multiple of a unit that would bring it into the law.
+        Unexplained: A number is; the message has the value, and the factor of a unit that would bring it into the law.
     """
     is_poor = any(result.is_doubtful and result.unexplained > MOST_UNEXPLAINED for result in results)
     units = [unit for channel in problem.study.units for unit in (channel.output, channel.of("u"))]
@@ -66,12 +77,17 @@ def require_possible(problem: FitProblem, x: np.ndarray, results: list[Explained
 
 
 def has_scale(problem: FitProblem, name: str) -> bool:
-    """Whether another unit of an output or a command changes a number."""
+    """Whether a number would have another value if an output or a command were logged in another unit."""
     return problem.study.numbers[name].quantity.unit not in WITHOUT_SCALE
 
 
 def is_beyond_by_ratio(law: Law, value: float) -> bool:
-    """Whether a value has the sign of its law, and is several times as large or as small as all that the law holds."""
+    """Whether a value has the sign of its law, and is several times as large or as small as all values of the law.
+
+    Args:
+        law: The law of the number.
+        value: The value; not 0.
+    """
     ratios = law.quantile(LAW_ENDS) / value
     is_small = ratios.min() > UNIT_RATIO
     is_large = ratios.min() > 0.0 and ratios.max() < 1.0 / UNIT_RATIO

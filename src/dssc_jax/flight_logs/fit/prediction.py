@@ -33,7 +33,7 @@ NO_NUMBERS: Mapping[str, float] = MappingProxyType({})
 
 
 class Outputs(Protocol):
-    """The program of the outputs."""
+    """The program that simulates the outputs."""
 
     def __call__(
         self, values: Sequence[Scalar], commands: jax.Array, index: jax.Array | int, forces: jax.Array | None = None
@@ -58,8 +58,8 @@ class Prediction(Protocol):
         """The output of each channel, shape (channels, samples), and its derivatives, shape (n, channels, samples).
 
         Args:
-            values: Values of the n numbers. Further numbers, as far as there are any, have the study's values where
-                they are left out.
+            values: Values of the n numbers. Values of further numbers, the presets of :func:`prediction`, may follow;
+                without them, these numbers have the study's values.
             commands: Commands before the actuators, shape (channels, samples).
             forces: Further disturbances of a plant of one channel, each held over a sample, shape (samples,) [u]; None:
                 there are none.
@@ -68,7 +68,7 @@ class Prediction(Protocol):
 
 
 class PushedState(NamedTuple):
-    """State of a disturbance beside which a force acts.
+    """State of a disturbance to which a given force is added.
 
     Args:
         disturbance: State of the disturbance.
@@ -82,7 +82,10 @@ class PushedState(NamedTuple):
 
 
 def playback(controller: Controller, commands: jax.Array) -> Controller:
-    """A controller that gives the logged commands of its channel, shape (samples,), to the plant."""
+    """A controller that gives the logged commands of its channel, shape (samples,), whatever is measured.
+
+    Its state is the number of the present sample.
+    """
 
     def first_sample(params: Params, measurement: Measurement, reference: ReferencePoint) -> Scalar:
         return jnp.zeros(())
@@ -96,7 +99,7 @@ def playback(controller: Controller, commands: jax.Array) -> Controller:
 
 
 def pushed(disturbance: Disturbance, forces: jax.Array) -> Disturbance:
-    """A disturbance and a force beside it, which is held over each sample, shape (samples,)."""
+    """A disturbance plus given forces [u], each held over one sample, shape (samples,)."""
 
     def init(params: Params, key: jax.Array) -> PushedState:
         return PushedState(disturbance.init(params, key), jnp.zeros(()), jnp.zeros(()))
@@ -112,7 +115,7 @@ def pushed(disturbance: Disturbance, forces: jax.Array) -> Disturbance:
 
 
 def quiet_values(study: Study) -> dict[str, float]:
-    """Medians of all laws, and 0 for what scales random disturbances and winds."""
+    """Values of all numbers: the medians of their laws, but 0 for the strengths of random disturbances and winds."""
     values = median_values(study)
     for name in study.numbers:
         fields = name.split(".")
@@ -128,7 +131,7 @@ def played_loop(loop: Loop, commands: jax.Array) -> Loop:
 
 
 def driving_forces(study: Study, numbers: Mapping[str, float], commands: np.ndarray) -> np.ndarray:
-    """What actuator and disturbance exert together at the end of each sample, without noise, shape (samples,) [u].
+    """The sum of actuator output and disturbance at the end of each sample, without noise, shape (samples,) [u].
 
     Args:
         study: A study of one channel.
@@ -144,7 +147,7 @@ def driving_forces(study: Study, numbers: Mapping[str, float], commands: np.ndar
         advance = held_between_samples(loop, params)
 
         def sample(state: LoopState, k: jax.Array) -> tuple[LoopState, Scalar]:
-            """One sample: the state after it, and the force there."""
+            """Advance by sample k; return the state after it, and the force at its end."""
             after, _ = step(loop, params, key, state, k, advance)
             (channel,) = after.channels
             t = (k + 1) * loop.sample_time
@@ -169,8 +172,8 @@ def simulated_outputs(
         study: The study.
         names: The numbers that are inputs of the program.
         samples: Number of samples.
-        fixed: Values of all numbers, which count for those that are no inputs.
-        sensors: Whether readings are those of the study's sensors, or of their lags alone.
+        fixed: Values of all numbers; those of the inputs do not count.
+        sensors: Whether readings are those of the study's sensors, or of their lags alone without noise.
     """
     channel_sensors = study.loop.sensor if sensors else deterministic_sensors(study)
 
@@ -196,7 +199,7 @@ def simulated_outputs(
         advance = held_between_samples(loop, params)
 
         def sample(carry: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], tuple[Scalar, ...]]:
-            """One sample: the state after it with the next sample's number, and each channel's reading."""
+            """Advance by one sample; return the next state and sample number, and each channel's reading."""
             state, k = carry
             next_state, recorded = step(loop, params, key, state, k, advance)
             readings = []
@@ -222,8 +225,8 @@ def prediction(
         study: The study, without a sweep.
         names: The numbers.
         samples: Number of samples of the simulation.
-        presets: Numbers without laws, whose derivatives are wanted once, with their values; of a plant of several
-            channels.
+        presets: Values of numbers without laws that a call may add to its values, to get their derivatives as well.
+            Only a plant of several channels uses them.
     """
     if len(study.loop.channels) > 1:
         return prediction_by_lanes(study, names, samples, presets)
@@ -252,11 +255,12 @@ def prediction(
 def prediction_by_lanes(
     study: Study, names: Sequence[str], samples: int, presets: Mapping[str, float] = NO_NUMBERS
 ) -> Prediction:
-    """The prediction of a plant of several channels: the lanes' code, one lane for each derivative.
+    """The prediction of a plant of several channels, by the code of the lanes, with one lane for each derivative.
 
-    A vehicle has thousands of operations in a sample, each of which XLA calls as a kernel. The commands are constants
-    of the program, which is compiled again for others.
+    A vehicle has thousands of operations in a sample, each of which XLA would call as a kernel. The commands are
+    constants of the program, so that other commands compile it again. The arguments are those of :func:`prediction`.
     """
+    # A call gives values of all its numbers (NaN here), but may leave out those of the presets.
     preset = [math.nan] * len(names) + list(presets.values())
     names = (*names, *presets)
     outputs = simulated_outputs(study, names, samples, quiet_values(study), sensors=False)
@@ -274,7 +278,7 @@ def prediction_by_lanes(
     def predict(
         values: np.ndarray, commands: np.ndarray, forces: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        assert forces is None  # of plants of one channel only
+        assert forces is None  # forces are for plants of one channel only
         with arithmetic(study.config.loop.precision):
             key = commands.tobytes()
             if key not in programs:
@@ -298,13 +302,13 @@ def declares_noise(study: Study) -> bool:
 
 
 class NoiseProgram:
-    """Outputs with random disturbances and winds less those without, compiled for the commands of a log.
+    """Simulated outputs with random disturbances and winds less those without, compiled for the commands of a log.
 
     Args:
         study: The study, without a sweep.
         names: The numbers.
         commands: The commands, shape (channels, samples).
-        sensors: Whether the outputs have the noise of the sensors, too.
+        sensors: Whether the noise of the sensors is included.
     """
 
     def __init__(self, study: Study, names: Sequence[str], commands: np.ndarray, sensors: bool) -> None:
@@ -351,10 +355,12 @@ class DisturbanceNoise:
     ) -> np.ndarray | None:
         """Simulations of the noise, shape (replicates, channels, samples); None: the study has none.
 
+        The first call compiles the program. Later calls use it with their values, and ignore their commands.
+
         Args:
             study: The study.
-            names: The numbers.
-            values: Their values, shape (n,).
+            names: The n numbers, the same in all calls.
+            values: Values of these numbers, shape (n,).
             commands: The commands, shape (channels, samples).
         """
         if not declares_noise(study):

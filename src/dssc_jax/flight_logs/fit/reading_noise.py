@@ -1,4 +1,4 @@
-"""The noise that a study's sensors add to a reading: no log is taken for more precise than it."""
+"""The noise that a study's sensors add to a reading: no log is taken to be more precise than that."""
 
 import jax
 import jax.numpy as jnp
@@ -17,12 +17,12 @@ def reading_noise(study: Study, outputs: np.ndarray) -> tuple[float, ...]:
     """Standard deviation of what each channel's sensor adds from one reading to the next, in the output's unit.
 
     Each sensor sees the logged outputs in place of true ones; its numbers with laws have their medians. The noise is
-    what its readings less the outputs show beyond the straight line between neighbours, so a bias, a lag or a delay
-    adds nothing.
+    how far its readings less the outputs scatter about the straight line between neighbours, so that a bias, a lag or a
+    delay adds nothing.
 
     Args:
         study: The study.
-        outputs: Logged outputs at its samples, NaN where missing, shape (channels, samples).
+        outputs: Logged outputs at the study's samples, NaN where missing, shape (channels, samples).
     """
     loop = study.loop
     noise = [0.0] * len(outputs)
@@ -41,7 +41,15 @@ def reading_noise(study: Study, outputs: np.ndarray) -> tuple[float, ...]:
 
 
 def sensor_readings(study: Study, i: int, params: Params, key: jax.Array, true: np.ndarray) -> np.ndarray:
-    """What the sensor of channel i shows of an output, shape (samples,)."""
+    """The readings of a channel's sensor for a given true output, shape (samples,).
+
+    Args:
+        study: The study.
+        i: Position of the channel.
+        params: Parameters of the sensor.
+        key: Key of the sensor's random numbers.
+        true: The true output at the samples, shape (samples,).
+    """
     sensor = study.loop.sensor[i]
     dt = study.loop.sample_time
     slopes = np.gradient(true, dt)

@@ -1,4 +1,4 @@
-"""Fits of a log in which outputs or commands are replaced, as a hypothesis about what is wrong with it."""
+"""Fits of a log with other outputs or commands, which test a hypothesis about what is wrong with the log."""
 
 import math
 from typing import NamedTuple
@@ -23,7 +23,11 @@ class Refit(NamedTuple):
         return math.sqrt(squares.residual) if squares is not None else math.inf
 
     def squares(self, channels: list[int]) -> "Squares | None":
-        """The mean squares of channels together; None if one has too few readings, or the simulation diverges."""
+        """Mean squares of the residuals, and variances of the outputs, each summed over some channels.
+
+        Returns:
+            None if one of the channels has too few readings, or the simulation diverges.
+        """
         residual_square = 0.0
         output_square = 0.0
         found = 0
@@ -49,7 +53,7 @@ class Squares(NamedTuple):
 
 
 def with_log(problem: FitProblem, log: SampledLog) -> FitProblem:
-    """The problem of another log, with white noise; its simulations are not counted."""
+    """The same problem with another log and white noise; its simulations are not counted."""
     return FitProblem(
         study=problem.study,
         names=problem.names,
@@ -61,7 +65,13 @@ def with_log(problem: FitProblem, log: SampledLog) -> FitProblem:
 
 
 def refit(problem: FitProblem, minimum: Minimum, log: SampledLog) -> Refit:
-    """Fit another log with white noise, from a minimum and from the medians of the laws."""
+    """Fit another log with white noise, from a minimum and from the medians of the laws; the better end counts.
+
+    Args:
+        problem: The problem with the present log.
+        minimum: The minimum from which the fit of the other log starts.
+        log: The other log.
+    """
     refitted = with_log(problem, log)
     starts = (minimum.x, np.zeros_like(minimum.x))
     return Refit(refitted, min((minimise(refitted, x) for x in starts), key=lambda end: end.cost))

@@ -23,7 +23,7 @@ from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import Noise, independent_samples
 
-MOST_UNEXPLAINED = 0.1  # share of the output's variance
+MOST_UNEXPLAINED = 0.1  # largest share of the output's variance that a fit may leave unexplained
 EXPLAINED_CONFIDENCE = 0.95  # confidence that a refused fit leaves more than that
 MUCH_LARGER = 1.25  # than what noise explains of a residual: a larger residual is doubted
 NOISE_CONFIDENCE = 0.9999  # confidence that noise alone is no larger than its limit
@@ -50,7 +50,7 @@ class NotIdentifiable(FitRefused):
         message: The reason.
         number: The number with the largest coefficient in the combination; None: no single number is to blame.
         width: Standard deviation of the combination, relative to that of the laws.
-        reasons: Why it is so wide and what to do; the message ends with it.
+        reasons: Why the combination is so wide, and what to do; the message ends with this text.
     """
 
     def __init__(self, message: str, number: str | None = None, width: float = math.inf, reasons: str = "") -> None:
@@ -60,7 +60,7 @@ class NotIdentifiable(FitRefused):
         self.reasons = reasons
 
     def with_reasons(self, reasons: str) -> "NotIdentifiable":
-        """This refusal with reasons."""
+        """The same refusal, with reasons at the end of its message."""
         return NotIdentifiable(str(self), self.number, self.width, reasons)
 
 
@@ -93,7 +93,7 @@ class Explained(NamedTuple):
         return self.unexplained_by(self.residual)
 
     def unexplained_by(self, residual: float) -> float:
-        """The same share for a residual of another size, such as that of a fit with a part that the study lacks."""
+        """Share of the output's variance that a residual of another size leaves unexplained, as of another fit."""
         return max(residual**2 - self.noise**2, 0.0) / max(self.output**2, TINY)
 
     @property
@@ -111,8 +111,12 @@ class Explained(NamedTuple):
 def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
     """Standard deviation of a series about the straight line between each reading's two neighbours.
 
-    White noise of variance 1 has a variance of 1 + a^2 + b^2 there, with the line's weights a and b, by which it is
-    divided. A curved series adds to it.
+    White noise of variance 1 has the variance 1 + a^2 + b^2 about a line with the weights a and b of the neighbours;
+    each square is divided by that. A curved series enlarges the result.
+
+    Args:
+        times: Times of the readings [s], shape (n,).
+        values: The series at these times, shape (n,).
     """
     gaps = np.diff(times)
     weight = gaps[1:] / (gaps[:-1] + gaps[1:])
@@ -122,7 +126,13 @@ def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
 
 
 def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> Explained:
-    """How well a channel is described; its noise is the smaller estimate from the output and from the residual."""
+    """How well a channel is described; the noise is the smaller one of those between neighbours in output and residual.
+
+    Args:
+        readings: The readings of the channel.
+        noise: The noise of the residual, which tells the number of independent samples.
+        residual: The residual at the readings, shape (n,).
+    """
     noise_rms = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
     residual_rms = float(np.sqrt(np.mean(residual**2)))
     independent = independent_samples(noise, readings.times)
@@ -230,7 +240,13 @@ def largest_text(times: np.ndarray, residual: np.ndarray) -> str:
 
 
 def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
-    """The doubts about readings that are far noisier than the study's sensor, by channel, with the remedy."""
+    """The doubts about readings that are far noisier than the study's sensor, by channel, with the remedy.
+
+    Args:
+        problem: The least-squares problem of the log.
+        x: Coordinates of the numbers, shape (p,).
+        results: How well each channel is described there.
+    """
     reasons = []
     for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
         sensor = math.sqrt(readings.sensor)
@@ -248,7 +264,7 @@ def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained
 
 
 def signal_and_unit(problem: FitProblem, place: int) -> tuple[str, str]:
-    """The signal of readings, by their position, and its unit."""
+    """Name and unit of the output to which the readings at a position of the problem belong."""
     channel = problem.readings[place].channel
     return signal_name(problem.study.loop.channels[channel], "y"), problem.study.units[channel].output
 
@@ -284,7 +300,12 @@ def refusal_text(problem: FitProblem, x: np.ndarray, place: int, result: Explain
 
 
 def direction_text(names: Sequence[str], direction: np.ndarray) -> str:
-    """Describe a direction in the space of the numbers in words."""
+    """Describe a direction in the space of the numbers in words, such as ``+0.80 a -0.60 b``.
+
+    Args:
+        names: Names of the p numbers.
+        direction: Components of the direction along their coordinates, shape (p,).
+    """
     direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
     terms = [(name, float(x)) for name, x in zip(names, direction, strict=True) if abs(x) >= SMALL_COEFFICIENT]
     if len(terms) == 1:
@@ -293,7 +314,15 @@ def direction_text(names: Sequence[str], direction: np.ndarray) -> str:
 
 
 def require_identifiable(names: Sequence[str], information: np.ndarray) -> None:
-    """Require a standard deviation below that of the laws along every direction of the numbers' coordinates."""
+    """Require a standard deviation below that of the laws along every direction of the numbers' coordinates.
+
+    Args:
+        names: Names of the f numbers.
+        information: Information on their coordinates, in standard deviations of the laws, shape (f, f).
+
+    Raises:
+        NotIdentifiable: A number or a combination of numbers has a larger one.
+    """
     diagonal = np.diag(information)
     for name, entry in zip(names, diagonal, strict=True):
         if entry <= 1e-24 * max(float(diagonal.max()), TINY) or not math.isfinite(entry):
@@ -323,7 +352,10 @@ class UnidentifiedDirection(NamedTuple):
 
 
 def unidentified_direction(information: np.ndarray) -> UnidentifiedDirection | None:
-    """The direction of least information, if its standard deviation is not below that of the laws."""
+    """The direction of least information, if its standard deviation is not below that of the laws; else None.
+
+    Singularity is judged with the numbers scaled to the information 1 each, so that their units do not matter.
+    """
     root = np.sqrt(np.diag(information))
     values, vectors = np.linalg.eigh(information / np.outer(root, root))
     if values[0] < SINGULAR_INFORMATION:
@@ -336,13 +368,16 @@ def unidentified_direction(information: np.ndarray) -> UnidentifiedDirection | N
 def require_unique_minimum(problem: FitProblem, search: MinimumSearch, information: np.ndarray) -> None:
     """Require that no other minimum describes the log as well as the best one does.
 
-    A rival within the confidence region of the best minimum says nothing that the region does not. One far outside of
-    the laws is refuted by them, if the best minimum is not.
+    A rival within the confidence region of the best minimum adds nothing to that region. The laws refute a rival far
+    outside of them, unless the best minimum is far outside, too.
 
     Args:
         problem: The least-squares problem.
         search: Its minima.
-        information: The inverse of the covariance that the answer states of the numbers that are fitted.
+        information: The inverse of the stated covariance of the fitted numbers' coordinates, shape (f, f).
+
+    Raises:
+        NotIdentifiable: Another minimum describes the log equally well.
     """
     allowed_difference = float(stats.chi2.ppf(TIE, len(problem.fitted)))
     for rival in search.rivals:
@@ -359,5 +394,5 @@ def require_unique_minimum(problem: FitProblem, search: MinimumSearch, informati
 
 
 def assignments_text(values: Mapping[str, float]) -> str:
-    """Values of numbers in words."""
+    """Values of numbers by name, in words."""
     return ", ".join(f"{name} = {value:.4g}" for name, value in values.items())

@@ -1,4 +1,4 @@
-"""What a delay leaves of a residual: more than noise, and there is another cause beside it."""
+"""What a delay leaves of a residual: if this is more than noise, there is another cause beside the delay."""
 
 import math
 from collections.abc import Sequence
@@ -16,9 +16,14 @@ MOST_LEFT = 0.4  # share of a refused residual: a delay that leaves more is not 
 
 
 def leaves_most(problem: FitProblem, delay: Delay, results: Sequence[Explained]) -> bool:
-    """Whether a delay leaves most of each residual for which a fit is refused: then it is no cause to name.
+    """Whether a fit is refused, and a delay leaves most of each residual: such a delay is not named as a cause.
 
     Gusts that the study declares may make most of the residual, whatever the delay.
+
+    Args:
+        problem: The problem.
+        delay: The delay.
+        results: How well the study describes each channel without the delay.
     """
     is_refused = any(result.least_unexplained > MOST_UNEXPLAINED for result in results)
     pairs = zip(delay.unshifted, delay.shifted, strict=True)
@@ -43,8 +48,8 @@ def certain_delay(problem: FitProblem, delay: Delay | None, results: Sequence[Ex
 def remaining_text(problem: FitProblem, minimum: Minimum, delay: Delay, results: Sequence[Explained]) -> str:
     """A sentence about what a delay leaves of the residual of each channel that is shifted; empty if it is noise.
 
-    Shifts are whole samples. What the remaining part of one may leave, the change of the output in that time, counts as
-    noise.
+    Shifts are whole samples. The fraction of a sample that a delay has beside them leaves the change of the output in
+    that time, which counts as noise.
 
     Args:
         problem: The problem.

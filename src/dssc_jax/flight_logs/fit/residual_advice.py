@@ -45,7 +45,7 @@ def advice_text(study: Study, hint: str, causes: Sequence[SignalWarning]) -> str
 
 
 def strength_hint(study: Study) -> str:
-    """That a flight in strong gusts may be refused although the study declares gusts; empty if it declares none."""
+    """A hint that the flight may have met stronger gusts than the study declares; empty if it declares none."""
     if not declares_noise(study):
         return ""
     return (

@@ -26,9 +26,10 @@ from dssc_jax.flight_logs.signal_warnings import SignalWarning, hedged
 
 
 def explaining_command(problem: FitProblem, best: Minimum, results: list[Explained]) -> MendedCommand | None:
-    """The fit with what explains the residual by the command alone; None if nothing does.
+    """The fit with a fault of the command that explains the residual; None if there is no such fault.
 
-    That is an actuator under the first command, or else a constant which the vehicle did not answer.
+    The fault is an actuator that has already followed the first command, or else a constant that the vehicle did not
+    answer.
 
     Args:
         problem: The least-squares problem of the log.
@@ -45,15 +46,17 @@ def explaining_command(problem: FitProblem, best: Minimum, results: list[Explain
 def start_in_place_of(
     mended: MendedCommand, problem: FitProblem, best: Minimum
 ) -> tuple[tuple[SignalWarning, ...], float]:
-    """The doubt about the speed at the start where this explains a flight as well without what is wrong with a command.
+    """The doubt about the speed at the start, if another start makes the mended command needless.
+
+    That is so if another start leaves as little of the residual with the logged command as with the mended one.
 
     Args:
-        mended: The fit with what explains the residual by the command.
+        mended: The fit with the mended command.
         problem: The least-squares problem of the log.
-        best: Its minimum.
+        best: The minimum of that problem.
 
     Returns:
-        The doubt; none if the start explains less. Then the root mean square of the residual with that start.
+        The doubt, or none. Then the root mean square of the residual with that start; infinite without a doubt.
     """
     if mended.leaves_noise:
         return (), math.inf
@@ -69,12 +72,15 @@ def start_in_place_of(
 def refusal_causes(
     problem: FitProblem, best: Minimum, results: list[Explained]
 ) -> tuple[tuple[SignalWarning, ...], bool]:
-    """Likely causes of a residual that is more than noise, beside other columns; whether one of them leaves only noise.
+    """Likely causes, other than wrong columns, of a residual that is more than noise.
 
     Args:
         problem: The least-squares problem of the log.
         best: Its minimum.
         results: How well each channel is described.
+
+    Returns:
+        The causes, and whether one of them leaves nothing but noise.
     """
     mended = explaining_command(problem, best, results)
     if mended is not None:
@@ -108,7 +114,7 @@ def refusal_causes(
 
 
 def causes_beside_mend(mended: MendedCommand) -> tuple[SignalWarning, ...]:
-    """What is wrong with the command, and the likely causes of what remains without that, if this is no noise."""
+    """The warning about a mended command, then the likely causes of what it leaves, if this is more than noise."""
     others = () if mended.leaves_noise else refusal_causes(mended.problem, mended.minimum, mended.results)[0]
     return (mended.warning, *(warning for warning in others if warning.code != mended.warning.code))
 
@@ -120,14 +126,14 @@ def doubts_of_estimates(
     deviations: np.ndarray,
     known: tuple[SignalWarning, ...] = (),
 ) -> tuple[SignalWarning, ...]:
-    """The likely causes of a residual beside which a fit has estimates, then the doubts about it.
+    """The likely causes of a residual with which a fit is not refused, then the doubts about this residual.
 
     Args:
         problem: The least-squares problem of the log.
         best: Its minimum.
         results: How well each channel is described.
         deviations: Standard deviations of the fitted coordinates, shape (f,).
-        known: What is told beside the fit, and may leave a residual.
+        known: Warnings of the replay, which may name the cause of a doubtful residual.
     """
     doubts_of_noise = noise_doubts(problem, best.x, results)
     mended = explaining_command(problem, best, results)

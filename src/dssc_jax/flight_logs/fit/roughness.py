@@ -21,7 +21,12 @@ SMOOTH = 1.0  # roughness that is as large as the noise of a weighted sum of squ
 
 
 def roughness(problem: FitProblem, minimum: Minimum) -> float:
-    """Root mean square of the deviations from the parabola around a minimum, in units of the sum of squares."""
+    """Root mean square of the deviations from the parabola around a minimum, in units of the sum of squares.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+    """
     values, directions = np.linalg.eigh(minimum.equations.information)
     lengths = np.minimum(1.0 / np.sqrt(np.maximum(values, TINY)), LAW_SHARE / FARTHEST)
     deviations = []
@@ -30,18 +35,19 @@ def roughness(problem: FitProblem, minimum: Minimum) -> float:
         x = minimum.x + directions @ move
         if problem.is_admissible(problem.values(x)):
             cost = problem.normal_equations(x).cost
+            # On the parabola, the cost would rise by the last term.
             deviations.append(cost - minimum.cost - values @ move**2)
     finite_deviations = np.array([deviation for deviation in deviations if math.isfinite(deviation)])
     return float(np.sqrt(np.mean(finite_deviations**2))) if finite_deviations.size else 0.0
 
 
 def widening(rough: float) -> float:
-    """The factor by which a roughness widens the covariance; a roughness as large as the noise is 1."""
+    """The factor by which a roughness widens the covariance; 1 if the roughness is no larger than the noise."""
     return max(1.0, rough / SMOOTH)
 
 
 def roughness_doubts(rough: float) -> tuple[SignalWarning, ...]:
-    """The doubt about a sum of squares that is no parabola."""
+    """The doubt about a sum of squares that is no parabola; none if its roughness is no larger than its noise."""
     if widening(rough) == 1.0:
         return ()
     text = (

@@ -11,7 +11,12 @@ from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 
 class Reconstruction(NamedTuple):
-    """Commands at all samples, shape (channels, samples), and what they do between two logged values, in words."""
+    """A possible course of the commands between their logged values.
+
+    Args:
+        text: What the commands do between two logged values, in words.
+        commands: The commands at all samples, shape (channels, samples).
+    """
 
     text: str
     commands: np.ndarray
@@ -21,8 +26,8 @@ class FreedCommands(NamedTuple):
     """Commands that a fit has estimated where the log lacks them.
 
     Args:
-        warnings: What is said of them.
-        moves: How far their standard deviations move the coordinates of the numbers, shape (k, p).
+        warnings: The warnings about these commands.
+        moves: How far the uncertainty of these commands moves the coordinates of the numbers, shape (k, p).
     """
 
     warnings: tuple[SignalWarning, ...]
@@ -39,7 +44,7 @@ class SampledLog(NamedTuple):
     replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
     jumps: dict[str, float]  # changes of held commands at the gaps' ends, at most, where they are large; by signal
     gaps: tuple[Gap, ...]  # spans without messages, over which a command is held or replayed
-    references: np.ndarray  # the study's
+    references: np.ndarray  # references of the study
     signals: tuple[Mapping[str, np.ndarray], ...]  # all logged signals by channel, NaN where missing, shape (samples,)
     rare: tuple[str, ...] = ()  # commands that are logged more rarely than the controller gives them
     between: str = ""  # what commands do between two logged values

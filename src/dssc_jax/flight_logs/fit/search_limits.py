@@ -27,8 +27,8 @@ class SearchCount:
     """The simulations of a fit so far, and whether its search has to end.
 
     Args:
-        limits: When it ends.
-        progress: Called with the simulations done, and their largest number.
+        limits: When the search ends.
+        progress: Called with the number of simulations done, and the largest number allowed.
     """
 
     def __init__(self, limits: SearchLimits = USUAL_LIMITS, progress: ProgressCallback | None = None) -> None:

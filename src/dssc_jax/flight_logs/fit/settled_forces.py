@@ -1,7 +1,7 @@
 """Forces against the speed that a study lacks, fitted at the speed that they leave; friction may hold at rest, too.
 
-A fit computes friction from the speed of the flight, whose noise decides the side on which it acts at rest. There it is
-the opposite of what actuator and disturbance exert, up to its size, if the vehicle sticks.
+A fit computes friction from the speed of the flight. At rest, the noise of that speed decides the direction of the
+friction. If the vehicle sticks, friction at rest is the opposite of the other forces, up to the size of the friction.
 """
 
 from functools import partial
@@ -18,7 +18,7 @@ ROUNDS = 3  # of fits with a force against the speed, each at the speed of the o
 
 
 def sticking_forces(drive: np.ndarray, flight: Flight, size: float) -> np.ndarray:
-    """Friction of a size, which holds the vehicle at rest against smaller forces, shape (n,).
+    """Friction of a size, which holds a vehicle at rest against forces smaller than this size, shape (n,) [u].
 
     Args:
         drive: What actuator and disturbance exert, shape (n,) [u].
@@ -46,7 +46,9 @@ def sticking(drive: np.ndarray) -> Part:
 
 
 def settled(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:
-    """The fit of a force against the speed at the speed that this force leaves, where that explains the flight better.
+    """Repeat the fit of a force with the speed that the force leaves, as long as this explains the flight better.
+
+    Friction is also fitted with sticking. A force that does not depend on the speed keeps its fit.
 
     Args:
         problem: The problem, with the noise of its minimum.
@@ -66,7 +68,7 @@ def settled(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: P
 
 
 def settled_fit(problem: FitProblem, without: FitWithoutPart, flight: Flight, fit: PartFit) -> PartFit:
-    """The fit of one force at the speed that it leaves; arguments as of :func:`settled`."""
+    """The fit of one force with the speed that the force leaves; the arguments are those of :func:`settled`."""
     for _ in range(ROUNDS if fit.part.has_speed else 0):
         forces = fit.part.forces_on(flight, fit.size)
         flight = flown_with(problem, fit.x, fit.part.commands(flight, fit.size)[None, :], forces)

@@ -1,4 +1,4 @@
-"""Fits of a log with some of its signals at other times, and whether they are better than that at the logged times.
+"""Fits of a log with some of its signals at other times, compared with the fit at the logged times.
 
 The fit is repeated at the shift that leaves the least residual. Both fits then have the noise of their residual, and
 the logarithms of their likelihoods tell whether the shift is needed.
@@ -15,10 +15,10 @@ from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, Readings
 from dssc_jax.flight_logs.fit.minima import Minimum, minimise, reweighted_minimum
 from dssc_jax.statistics.correlated_noise import Noise, weighted_products
 
-LONGEST_SHIFT = 0.5  # s
-LONGEST_SHARE = 0.1  # share of the log's samples
-MOST_SHIFTS = 25  # on either side
-LEAST_SHIFT = 0.5  # samples: commands and outputs count at the nearest sample
+LONGEST_SHIFT = 0.5  # s, longest shift that is tried
+LONGEST_SHARE = 0.1  # longest shift that is tried, as a share of the log's samples
+MOST_SHIFTS = 25  # largest number of shifts that are tried on either side
+LEAST_SHIFT = 0.5  # samples, least shift that matters: commands and outputs count at the nearest sample
 ROUNDING = math.sqrt(1.0 / 12.0)  # samples: the standard deviation of a uniform error of one
 SIGNIFICANCE = 1e-4
 LARGE_MOVE = 1.0  # least move of an estimate that matters, in its standard deviations
@@ -31,8 +31,8 @@ class Shifts(Protocol):
 
     Args:
         problem: The problem without a shift.
-        noises: Noise of each channel's residual, for all shifts.
-        variances: Variance of that noise.
+        noises: Noise of each channel's residual, which all shifts share.
+        variances: Variance of the noise of each channel.
     """
 
     problem: FitProblem
@@ -40,7 +40,14 @@ class Shifts(Protocol):
     variances: list[float]
 
     def at(self, channels: Sequence[int], shift: int) -> FitProblem:
-        """The problem if the signals of some channels are later than logged by a number of samples."""
+        """The problem corrected for a delay of some channels by a number of samples.
+
+        Late outputs are moved to earlier times, and commands that act late to later times.
+
+        Args:
+            channels: Positions of the channels.
+            shift: The delay in samples; negative: a lead.
+        """
         ...
 
 
@@ -49,7 +56,7 @@ class Delay(NamedTuple):
 
     Args:
         channels: Positions of the channels that are shifted.
-        time: How much later they are than predicted [s].
+        time: How much later outputs are than predicted, or commands act than logged [s]; negative: earlier.
         deviation: Standard deviation of the time [s].
         p_value: Largest probability, without a delay, of as large a gain of the likelihood by one of the shifts.
         moves: How far the shift moves the estimates, in their standard deviations without it, by number.
@@ -68,7 +75,7 @@ class Delay(NamedTuple):
     shifted: tuple[float, ...]
 
     def matters(self, sample_time: float) -> bool:
-        """Whether the log is certainly at other times, and the estimates or much of the residual depend on it."""
+        """Whether the delay is certain, and moves an estimate far or explains much of a residual."""
         pairs = zip(self.unshifted, self.shifted, strict=True)
         is_large_part = any(shifted < LARGE_PART * unshifted for unshifted, shifted in pairs)
         is_large_move = max(map(abs, self.moves.values())) > LARGE_MOVE
@@ -77,7 +84,7 @@ class Delay(NamedTuple):
 
     @property
     def size_text(self) -> str:
-        """The size of the time with its standard deviation, in words."""
+        """The absolute value of the delay with its standard deviation, in words."""
         margin = f" ± {self.deviation:.2g}" if math.isfinite(self.deviation) else ""
         return f"{abs(self.time):.3g}{margin} s"
 
@@ -98,7 +105,7 @@ class Delay(NamedTuple):
 
 
 def longest_shift(problem: FitProblem) -> int:
-    """The longest shift, in samples."""
+    """The longest shift that is tried, in samples."""
     samples = problem.log.outputs.shape[1]
     return int(min(LONGEST_SHIFT / problem.study.loop.sample_time, LONGEST_SHARE * samples, MOST_SHIFTS))
 
@@ -161,7 +168,7 @@ def climbed_shift(
         unshifted_end: The end of the fit without a shift.
         channels: Indices of the channels that are shifted.
         shift: The first shift.
-        margin: The longest one.
+        margin: The longest shift.
     """
     minimum_of_shift = {0: unshifted_end}
 
@@ -181,7 +188,12 @@ def climbed_shift(
 
 
 def log_likelihood(problem: FitProblem, x: np.ndarray) -> float:
-    """The logarithm of the likelihood of all readings, at the likeliest variance of each channel's noise."""
+    """The logarithm of the likelihood of all readings, at the likeliest variance of each channel's noise.
+
+    Args:
+        problem: The problem, with its noises.
+        x: Coordinates of the numbers, shape (p,).
+    """
     total = 0.0
     for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):
         products, log_det = weighted_products(noise, readings.times, columns[:, :1])
@@ -202,10 +214,18 @@ def likelihood_of_cost(readings: Readings, cost: float, log_det: float) -> float
 
 
 def refinement(shifts: Shifts, end: Minimum, channels: Sequence[int], shift: int, margin: int) -> tuple[float, float]:
-    """The best shift less the whole one, by a parabola through three fits, and its standard deviation, in samples.
+    """How far the best shift lies beside a whole one, and its standard deviation, both in samples.
 
-    Commands and outputs count at the nearest sample, so the deviation has that of a uniform error of one sample, too.
-    It is infinite where the fits are on no parabola with a minimum.
+    The best shift is at the minimum of a parabola through the fits with the whole shift and its two neighbours.
+    Commands and outputs count at the nearest sample, so the deviation includes that of a uniform error of one sample.
+    It is infinite at the longest shift, and where the parabola has no minimum.
+
+    Args:
+        shifts: The problems.
+        end: The minimum with the whole shift.
+        channels: Positions of the channels that are shifted.
+        shift: The whole shift.
+        margin: The longest shift.
     """
     if abs(shift) == margin:
         return 0.0, math.inf
@@ -217,12 +237,22 @@ def refinement(shifts: Shifts, end: Minimum, channels: Sequence[int], shift: int
 
 
 def residuals(problem: FitProblem, channels: Sequence[int], x: np.ndarray) -> tuple[float, ...]:
-    """The root mean square of the residual of some channels."""
+    """The root mean square of the residual of each of the given channels, at coordinates x of shape (p,).
+
+    Args:
+        problem: The problem, with the shift or without it.
+        channels: Positions of the channels.
+        x: Coordinates of the numbers, shape (p,).
+    """
     pairs = zip(problem.readings, problem.columns(x), strict=True)
     return tuple(float(np.sqrt(np.mean(c[:, 0] ** 2))) for readings, c in pairs if readings.channel in channels)
 
 
 def linear_cost(products: np.ndarray) -> float:
-    """The least weighted sum of squares by products of the residual and its slopes, shape (1 + p, 1 + p)."""
+    """The least weighted sum of squares that a linearised prediction allows.
+
+    Args:
+        products: Weighted products of the residual and the prediction's slopes, shape (1 + p, 1 + p).
+    """
     step = np.linalg.lstsq(products[1:, 1:], products[1:, 0], rcond=None)[0]
     return float(products[0, 0] - products[1:, 0] @ step)

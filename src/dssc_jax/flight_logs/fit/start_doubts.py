@@ -1,7 +1,7 @@
 """Doubts about where a fitted study begins: its output beside the log's, or a level vehicle in wind.
 
-The first output depends on the initial state alone, so no other number explains a difference there, but a fit may
-spread it over all of them where the flight does not keep it.
+The first output depends on the initial state alone, so that no other number explains a difference there. A fit may
+still spread the difference over other numbers, if it does not last over the flight.
 """
 
 import math
@@ -18,7 +18,7 @@ from dssc_jax.study.actuators import kind_in
 
 FIRST = 5  # readings whose median counts, so that no single one decides
 LATEST = 10.0  # samples: readings after that are no longer the first
-DEVIATIONS = 5.0  # standard deviations of the noise: a smaller difference of the starts is not told
+DEVIATIONS = 5.0  # standard deviations of the noise: a smaller difference of the starts is not reported
 KEPT = 0.05  # share of a difference by which it may vary over the flight and stay the same
 KEPT_SHARE = 0.95  # of the readings for which this holds
 LEAST_SHARE = 0.02  # of the output's standard deviation: a smaller difference hardly moves an estimate
@@ -61,7 +61,7 @@ def effect_text(residual: np.ndarray, difference: float, noise: float) -> str:
 
     Args:
         residual: The residual, shape (n,).
-        difference: That of the first readings.
+        difference: The difference of the first readings from the study's output.
         noise: Standard deviation of the noise.
     """
     if float(np.quantile(np.abs(residual - difference), KEPT_SHARE)) <= max(DEVIATIONS * noise, KEPT * abs(difference)):

@@ -20,17 +20,17 @@ from dssc_jax.flight_logs.fit.shifts import SIGNIFICANCE, log_likelihood
 from dssc_jax.flight_logs.hints.starts import START, fixed_start
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
-DEVIATIONS = 5.0  # of the speed: a smaller difference is not told
+DEVIATIONS = 5.0  # of the speed: a smaller difference is not reported
 AS_SMALL = 1.1  # factor on the residual with another start: a shift in time that leaves no more explains it as well
 LARGE_PART = 0.5  # share of the residual that may be left if another start explains it
 
 
 class FittedStart(NamedTuple):
-    """The start of a flight by its output.
+    """The start of a flight, estimated from its output.
 
     Args:
-        place: The first output, in its unit.
-        speed: Its first derivative, in that unit per second.
+        place: The output at the start, in its unit.
+        speed: The derivative of the output at the start, in that unit per second.
         deviation: Standard deviation of the speed.
         p_value: Probability of as large a gain of the likelihood if the study's start were right.
         residual: Root mean square of the residual with this start.

@@ -1,9 +1,9 @@
 """Parts that a study lacks and that begin at a moment of the flight: a constant force, and a step of the gain.
 
-The output's slopes by the part's size are computed for some times, then for those around the best one, at the minimum
-without it. The time with the least sum of squares, if the prediction is linear, makes a part as those of
-:mod:`~dssc_jax.flight_logs.fit.missing_parts`, whose likelihood pays for all times and sudden parts. Steps of Gauss and
-Newton then refine the time between the samples, and tell its standard deviation.
+At the minimum without the part, the output's slopes by the size of the part are computed for some times, then for those
+around the best one. The time with the least linearised sum of squares gives a part like those of
+:mod:`~dssc_jax.flight_logs.fit.missing_parts`; its gain of likelihood is reduced for all times and sudden parts that
+were compared. Gauss-Newton steps then refine the time between the samples, and tell its standard deviation.
 
 References:
     D. W. K. Andrews, "Tests for parameter instability and structural change with unknown change point", Econometrica 61
@@ -24,11 +24,11 @@ from dssc_jax.flight_logs.fit.shifts import linear_cost
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
 from dssc_jax.study import Study
 
-TIMES = 32  # that are compared at first
+TIMES = 32  # number of moments that are compared at first
 ROUNDS = 4  # of fits, each with the time that is the likeliest by the fit before
-REFINEMENTS = 4  # of the best of these, between the samples
+REFINEMENTS = 4  # most Gauss-Newton steps from the best sample to a moment between the samples
 SMALL = 0.1  # share of the time's deviation: a smaller step is the last one
-MARGIN_DEVIATIONS = 4.0  # of the time, and a sample: half the span in which it lies
+MARGIN_DEVIATIONS = 4.0  # standard deviations of the time that, with one sample, are half the span of the remedy
 DIFFERENCE = 0.5  # samples, either side of a time: the step of the derivative by it
 LEAST_SAMPLES = 2 * TIMES
 MARGIN = 0.05  # share of the flight at either end without such a time
@@ -36,7 +36,7 @@ SLOTS = ("disturbance.", "wind.")
 
 
 def share_after(begin: float, flight: Flight) -> np.ndarray:
-    """Share of each sample after a moment, which may lie within one; shape (n,).
+    """The share of each sample that lies after a moment, between 0 and 1; shape (n,).
 
     Args:
         begin: Samples from the first one to the moment.
@@ -46,7 +46,7 @@ def share_after(begin: float, flight: Flight) -> np.ndarray:
 
 
 def weakened(flight: Flight, size: float) -> np.ndarray:
-    """Commands whose gain is 1 - size."""
+    """The commands, multiplied by a gain of 1 - size, shape (n,)."""
     return (1.0 - size) * flight.commands
 
 
@@ -66,7 +66,7 @@ between which the time lies [s]."""
 
 
 def lacking_sudden_parts(study: Study) -> list[Part]:
-    """The sudden parts that a study lacks; one with a disturbance or a wind that begins gets no second one."""
+    """The sudden parts that a study lacks; no force if a disturbance or a wind of the study begins in flight."""
     has_wind_step = any(number.quantity.begins for name, number in study.numbers.items() if name.startswith(SLOTS))
     return [GAIN_STEP] if has_wind_step else [WIND_STEP, GAIN_STEP]
 
@@ -74,8 +74,8 @@ def lacking_sudden_parts(study: Study) -> list[Part]:
 def fitted_sudden_part(problem: FitProblem, without: FitWithoutPart, flight: Flight, sudden: Part) -> PartFit | None:
     """Fit a log with a part that begins at the likeliest time; None if it does not explain the residual.
 
-    The time is that under the noise of the fit without the part, or under white noise, then under that of the fit with
-    the part.
+    The likeliest time depends on the noise. The search begins once with the noise of the fit without the part and once
+    with white noise, goes on with the noise of the fit with the part, and the better end counts.
 
     Args:
         problem: The problem of one channel, with the noise of its minimum.
@@ -96,7 +96,7 @@ def fitted_sudden_part(problem: FitProblem, without: FitWithoutPart, flight: Fli
 def fit_from(
     weighted: FitProblem, problem: FitProblem, without: FitWithoutPart, flight: Flight, sudden: Part
 ) -> PartFit | None:
-    """Fit a log with a part, from the time on that is the likeliest under a first noise; None as above.
+    """Fit a log with a part, starting at the likeliest time under a first noise; None if the part explains nothing.
 
     Args:
         weighted: The problem with the first noise.
@@ -137,8 +137,8 @@ def refined(
         without: The fit without a part.
         flight: The flight.
         sudden: The part.
-        fit: The fit with it from a sample on.
-        begin: That sample.
+        fit: The fit with the part from a sample on.
+        begin: Samples from the first one to that sample.
     """
     correction = begin_correction(problem, flight, sudden, fit, begin)
     for _ in range(REFINEMENTS):
@@ -156,21 +156,21 @@ def refined(
 
 
 class BeginCorrection(NamedTuple):
-    """The step of Gauss and Newton to a likelier time, and the standard deviation of that time, both in samples."""
+    """The Gauss-Newton step to the likeliest time, and the standard deviation of that time, both in samples."""
 
     step: float
     deviation: float
 
 
 def begin_correction(problem: FitProblem, flight: Flight, sudden: Part, fit: PartFit, begin: float) -> BeginCorrection:
-    """How far the time of a part is from the likeliest one, to first order; the numbers and the size are free.
+    """How far the time of a part is from the likeliest one, to first order, while the numbers and the size are free.
 
     Args:
         problem: The problem.
         flight: The flight.
         sudden: The part.
-        fit: The fit with it.
-        begin: Samples from the first one to its beginning.
+        fit: The fit with the part.
+        begin: Samples from the first one to the beginning of the part.
     """
     point = PartPoint(fit.x, fit.size, 1.0)
     part_problem = PartProblem(problem, flight, fit.part)
@@ -201,12 +201,12 @@ def with_noise(problem: FitProblem, noise: Noise) -> FitProblem:
 
 
 def part_from(sudden: Part, begin: float, choices: int) -> Part:
-    """A part from a moment on, the likeliest of some samples.
+    """A part that acts from a moment on.
 
     Args:
         sudden: The part, as it is after the moment.
         begin: Samples from the first one to the moment.
-        choices: Number of samples and sudden parts that were compared.
+        choices: Number of moments times that of sudden parts from which it was chosen.
     """
     lasting_forces = sudden.forces
 
@@ -225,7 +225,7 @@ def part_from(sudden: Part, begin: float, choices: int) -> Part:
 
 
 def told_part(part: Part, sample_time: float, begin: float, deviation: float) -> Part:
-    """A part from a moment on, with its time in words; the span of the remedy is wider than what is known.
+    """A part from a moment on, with the time in its words, and in its remedy a span that safely contains the time.
 
     Args:
         part: The part.
@@ -242,12 +242,12 @@ def told_part(part: Part, sample_time: float, begin: float, deviation: float) ->
 
 
 def likeliest_begin(problem: FitProblem, x: np.ndarray, flight: Flight, sudden: Part, begins: np.ndarray) -> int:
-    """The sample from which on a part leaves the least sum of squares; arguments as of :func:`costs_by_begin`."""
+    """The sample from which on a part leaves the least sum of squares; the arguments are of :func:`costs_by_begin`."""
     return int(begins[int(np.argmin(costs_by_begin(problem, x, flight, sudden, begins)))])
 
 
 def costs_by_begin(problem: FitProblem, x: np.ndarray, flight: Flight, sudden: Part, begins: np.ndarray) -> np.ndarray:
-    """The least weighted sums of squares with a part from some moments on, if the prediction is linear, shape (k,).
+    """The least weighted sum of squares with a part from each of k moments on, to first order, shape (k,).
 
     Args:
         problem: The problem of one channel, with a noise.
@@ -279,15 +279,15 @@ def costs_by_begin(problem: FitProblem, x: np.ndarray, flight: Flight, sudden: P
 def spread_of_begin(problem: FitProblem, flight: Flight, sudden: Part, fit: PartFit, begin: float) -> float:
     """The standard deviation of a moment by its likelihood around the likeliest one, in samples.
 
-    A gain that changes while the command is small has no single likeliest moment, and the curvature there is none of
-    the likelihood as a whole.
+    While the command is small, a change of the gain hardly shows, so no single moment is the likeliest. The curvature
+    of the likelihood at one moment then says little about its whole width.
 
     Args:
         problem: The problem of one channel.
         flight: The flight.
         sudden: The part.
-        fit: The fit with it.
-        begin: Samples from the first one to its beginning.
+        fit: The fit with the part.
+        begin: Samples from the first one to the beginning of the part.
     """
     reach = 2.0 * len(flight.commands) / TIMES
     begins = np.clip(begin + np.linspace(-reach, reach, 2 * TIMES + 1), 0.0, len(flight.commands) - 1.0)

@@ -6,10 +6,10 @@ from dssc_jax.flight_logs.fit.refusals import NotIdentifiable
 
 
 class UnidentifiedNumbers:
-    """The numbers of a fit that keep their laws, as the search for a set of numbers goes on that a flight identifies.
+    """The numbers of a fit that keep their laws, while the fit seeks a set of numbers that the flight identifies.
 
-    Where a flight identifies a combination of two numbers alone, one of them keeps its law. Which one leaves the other
-    narrower than its law is seen by trying.
+    If a flight identifies only a combination of two numbers, one of them keeps its law. Trials show which one, so that
+    the other becomes narrower than its law.
     """
 
     def __init__(self) -> None:
@@ -27,12 +27,13 @@ class UnidentifiedNumbers:
         return {name: width for name, width in self.widths.items() if name in self.kept}
 
     def update_insensitive(self, widths: Mapping[str, float]) -> bool:
-        """Keep the laws of numbers that the output hardly depends on, and tell whether other numbers are kept now.
+        """Keep the laws of numbers on which the output hardly depends; return whether the set of kept numbers changes.
 
-        At another minimum the output may depend on a number all the same. It is then fitted again, once.
+        At another minimum the output may depend on such a number after all. The number is then fitted again, but only
+        once.
 
         Args:
-            widths: The numbers with their widths, kept ones among them.
+            widths: All numbers on which the output hardly depends, with their widths, including those already kept.
         """
         before = self.kept
         recovered = self._insensitive - widths.keys() - self._recovered
@@ -43,7 +44,15 @@ class UnidentifiedNumbers:
         return self.kept != before
 
     def add(self, name: str, refusal: NotIdentifiable) -> None:
-        """Keep the law of a number in a combination that is not identified, first in place of the one before it."""
+        """Keep the law of a number from a combination that is not identified.
+
+        The number replaces the one that was added before it. If the resulting set has been tried already, both keep
+        their laws.
+
+        Args:
+            name: The number.
+            refusal: The refusal that names it, with its width and reasons.
+        """
         self.widths[name] = refusal.width
         self.reasons = refusal.reasons
         exchanged = (self.kept - {self._last}) | {name}

@@ -18,7 +18,7 @@ def width_reasons(problem: FitProblem, rough: float = 0.0, growth: float = 1.0) 
 
     Args:
         problem: The problem, with the noise of its minimum.
-        rough: Its roughness.
+        rough: Roughness of the sum of squares.
         growth: By how much other commands that may have flown widen the widest interval.
     """
     noises = []
@@ -47,12 +47,17 @@ def width_reasons(problem: FitProblem, rough: float = 0.0, growth: float = 1.0) 
 
 
 def sentence(text: str) -> str:
-    """A text that begins with a capital letter."""
+    """The text with a capital letter at its beginning."""
     return text[:1].upper() + text[1:]
 
 
 def widest_growth(narrow: np.ndarray, wide: np.ndarray) -> float:
-    """The largest growth factor of a standard deviation between two covariances, each of shape (p, p)."""
+    """The largest growth factor of a standard deviation between two covariances, each of shape (p, p).
+
+    Args:
+        narrow: The covariance with the smaller variances.
+        wide: The covariance with the larger variances.
+    """
     return float(np.sqrt(np.max(np.diag(wide) / np.diag(narrow))))
 
 

@@ -1,7 +1,7 @@
-"""Whether a refused flight has an output that is a wrapped angle, which a reference may resemble more than its study.
+"""Whether an output of a refused flight is a wrapped angle; other columns are suspected only if none is.
 
-Jumps by turns tell it, although the study declares no unit of an angle. The same log with the unwrapped output is
-fitted once more, and what remains is told.
+Jumps by full turns show a wrapped angle, even if the study does not declare the output as one. The same log with the
+unwrapped output is fitted once more, and the message tells the residual that remains.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 
 def column_causes(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
-    """The doubts about outputs that are wrapped; without one, about columns, as :func:`column_doubts` has them."""
+    """The doubts about wrapped outputs; if there are none, those about columns by :func:`column_doubts`."""
     if problem.count.is_stopped:
         return ()
     return wrapped_doubts(problem, minimum) or column_doubts(problem, minimum)
@@ -51,7 +51,7 @@ def wrapped_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning
 
 
 def turns_of(output: np.ndarray, unit: str) -> np.ndarray:
-    """The turns that a wrapped angle has at each sample, in its unit; 0 for other outputs, shape (samples,).
+    """The turns to subtract from a wrapped angle at each sample, in its unit, shape (samples,); 0 for other outputs.
 
     Args:
         output: The logged output, NaN where missing, shape (samples,).

@@ -1,8 +1,9 @@
-"""Whether a flight is described by other columns than those that were given: an error in place of y, or exchanged ones.
+"""Whether other columns than the given ones describe a flight: an error in place of y, or exchanged columns.
 
-Each hypothesis is the same log with other outputs and commands, which is fitted once more. It is told where the study
-then describes nearly all of the outputs, and described little of them as they were given. None is tried that
-contradicts the analysed controller: where this gives the logged command for the logged outputs, both columns are right.
+Each hypothesis is the same log with other outputs and commands, which is fitted once more. A warning names the
+hypothesis if the study then describes nearly all of the outputs, but little of them with the given columns. A
+hypothesis that contradicts the analysed controller is not tried: if the controller gives the logged command for the
+logged outputs, both columns are right.
 """
 
 import itertools
@@ -33,9 +34,9 @@ class OtherColumns(NamedTuple):
 
     Args:
         signal: A signal whose column is wrong.
-        words: What is wrong with them.
-        channels: Channels whose outputs or commands differ.
-        log: The log with the right ones.
+        words: What is wrong with the columns.
+        channels: Positions of the channels whose outputs or commands differ.
+        log: The log with the columns of the hypothesis.
     """
 
     signal: str
@@ -45,21 +46,24 @@ class OtherColumns(NamedTuple):
 
 
 class ReplayedChannels:
-    """The analysed controllers with the logged signals of their channels.
+    """The analysed controllers, replayed with the logged signals of their channels and with other columns.
 
     Args:
         problem: The least-squares problem of the log.
     """
 
     def __init__(self, problem: FitProblem) -> None:
-        """Make the controllers; nothing is replayed yet."""
+        """Prepare the controllers; nothing is replayed yet."""
         self.log = problem.log
         references = study_references(problem.study, problem.log.outputs.shape[1])
         self.replays = [ChannelReplay(problem.study, *row) for row in enumerate(references)]
         self.shares: dict[int, float] = {}  # with the logged columns, by channel
 
     def refute(self, columns: OtherColumns) -> bool:
-        """Whether a channel's controller gives the logged command, and gives it less well with other columns."""
+        """Whether an analysed controller contradicts other columns.
+
+        It does if it gives the logged command of a channel with the given columns, and gives it less well with others.
+        """
         for channel in columns.channels:
             if channel not in self.shares:
                 self.shares[channel] = self.share(channel, self.log.signals[channel])
@@ -72,9 +76,13 @@ class ReplayedChannels:
         return False
 
     def share(self, channel: int, signals: Mapping[str, np.ndarray]) -> float:
-        """The difference of a replayed command from that among signals, as a share of what this varies.
+        """The difference of the replayed command from the logged one, as a share of the variation of the logged one.
 
-        Infinite where the controller cannot be replayed.
+        The share is infinite if there is no logged command, or the controller cannot be replayed.
+
+        Args:
+            channel: Position of the channel.
+            signals: Signals of the channel by name, NaN where missing, shape (samples,) each.
         """
         if "u_total" not in signals:
             return np.inf
@@ -88,7 +96,7 @@ class ReplayedChannels:
 def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
     """The doubt about columns of outputs and commands, if others describe the flight far better, with the remedy.
 
-    Other commands are tried where other outputs explain nothing: each of them is another simulation.
+    Other commands are tried only if no other outputs describe the flight, because other commands need more simulations.
 
     Args:
         problem: The least-squares problem of the log.
@@ -97,7 +105,7 @@ def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning,
     if problem.count.is_stopped:
         return ()
     logged = Refit(problem, minimum)
-    if problem.count.reason:  # wrong columns use up the simulations: those given are minimised as far as others are
+    if problem.count.reason:  # the search has hit a limit: minimise with the given columns as far as with others
         logged = refit(problem, minimum, problem.log)
     replays = ReplayedChannels(problem)
     candidates = [candidate for candidate in other_columns(problem) if not replays.refute(candidate)]
@@ -117,9 +125,14 @@ def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning,
 
 
 def best_columns(logged: Refit, candidates: Sequence[OtherColumns]) -> tuple[OtherColumns | None, float]:
-    """The hypothesis that describes the flight best, and the share of the outputs that its residual is.
+    """The hypothesis that describes the flight best, and its residual as a share of the outputs' standard deviation.
 
-    None if no hypothesis describes it far better than the columns that were given.
+    Args:
+        logged: The fit with the given columns.
+        candidates: The hypotheses.
+
+    Returns:
+        None in place of the hypothesis if none describes the flight far better than the given columns.
     """
     best = None
     least_share = DESCRIBED
@@ -138,7 +151,7 @@ def best_columns(logged: Refit, candidates: Sequence[OtherColumns]) -> tuple[Oth
 
 
 def other_columns(problem: FitProblem) -> Iterator[OtherColumns]:
-    """All hypotheses about the columns of a log; in a study of several channels fewer, as each takes longer."""
+    """All hypotheses about the columns of a log; fewer in a study of several channels, where each takes longer."""
     channels = [readings.channel for readings in problem.readings]
     for channel in channels:
         yield from errors_as_outputs(problem, channel)
@@ -150,7 +163,12 @@ def other_columns(problem: FitProblem) -> Iterator[OtherColumns]:
 
 
 def errors_as_outputs(problem: FitProblem, channel: int) -> Iterator[OtherColumns]:
-    """The hypotheses that the column of y holds the error, by the logged reference and by that of the study."""
+    """The hypotheses that the column of y holds the error: of either sign, from the logged reference or the study's.
+
+    Args:
+        problem: The least-squares problem of the log.
+        channel: Position of the channel.
+    """
     log = problem.log
     name = problem.study.loop.channels[channel]
     y = signal_name(name, "y")
@@ -168,7 +186,12 @@ def errors_as_outputs(problem: FitProblem, channel: int) -> Iterator[OtherColumn
 
 
 def exchanged_signals(problem: FitProblem, channel: int) -> Iterator[OtherColumns]:
-    """The hypotheses that y and the command of a channel have other columns of it, such as each other's."""
+    """The hypotheses that y and the command of a channel are in other columns of that channel, such as each other's.
+
+    Args:
+        problem: The least-squares problem of the log.
+        channel: Position of the channel.
+    """
     log = problem.log
     name = problem.study.loop.channels[channel]
     signals = log.signals[channel]
@@ -189,7 +212,13 @@ def exchanged_signals(problem: FitProblem, channel: int) -> Iterator[OtherColumn
 
 
 def exchanged_channels(problem: FitProblem, first: int, second: int) -> Iterator[OtherColumns]:
-    """The hypotheses that two channels have each other's column of the output, or of the command."""
+    """The hypotheses that the outputs, or the commands, of two channels are in each other's column.
+
+    Args:
+        problem: The least-squares problem of the log.
+        first: Position of one channel.
+        second: Position of the other channel, whose signals have the same units.
+    """
     log = problem.log
     channels = problem.study.loop.channels
     exchanged = np.arange(len(channels))
@@ -205,7 +234,13 @@ def exchanged_channels(problem: FitProblem, first: int, second: int) -> Iterator
 
 
 def with_row(rows: np.ndarray, row: int, values: np.ndarray) -> np.ndarray:
-    """Signals of all channels with that of one replaced, shape (channels, samples)."""
+    """A copy of the signals of all channels, shape (channels, samples), in which ``values`` replace one row.
+
+    Args:
+        rows: Signals of all channels, shape (channels, samples).
+        row: Position of the channel.
+        values: The new signal of that channel, shape (samples,).
+    """
     changed = rows.copy()
     changed[row] = values
     return changed

@@ -1,7 +1,7 @@
 """Hints that a logged angle is in degrees in place of radians.
 
-The angles of a log count within half a turn of the reference, where degrees look like any angle. So they are compared
-as they were logged.
+Elsewhere, logged angles count within half a turn of the reference, where degrees look like any other angle. So this
+module compares them as they were logged.
 """
 
 import jax.numpy as jnp
@@ -13,11 +13,11 @@ from dssc_jax.flight_logs.reading.reader import FlightLog, nearest_values, signa
 from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
-LARGEST_ERROR = 0.6  # rad, root mean square: an angle in degrees that is farther from its reference is not told
+LARGEST_ERROR = 0.6  # rad, root mean square: an angle in degrees that is farther from its reference is not reported
 
 
 def angle_hints(study: Study, log: FlightLog, references: np.ndarray) -> dict[str, Hint]:
-    """The angles, logged as outputs or references, that are in degrees; what to say of each, by signal.
+    """The hints about logged outputs and references that are angles in degrees, by signal.
 
     Args:
         study: The study.
@@ -40,7 +40,12 @@ def angle_hints(study: Study, log: FlightLog, references: np.ndarray) -> dict[st
 
 
 def is_in_degrees(values: np.ndarray, reference: np.ndarray) -> bool:
-    """Whether an angle is near its reference [rad] as degrees, and not as radians; NaN where missing."""
+    """Whether an angle is near its reference [rad] if it is in degrees, and far from it if it is in radians.
+
+    Args:
+        values: The logged angle, NaN where missing, shape (samples,).
+        reference: The reference [rad], shape (samples,).
+    """
     finite = values[np.isfinite(values)]
     if not finite.size or float(np.abs(finite).max()) <= 2.0 * np.pi:  # radians of any frame
         return False

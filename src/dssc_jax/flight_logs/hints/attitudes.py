@@ -1,7 +1,7 @@
-"""The attitude with which a logged flight begins, beside that of the study.
+"""The attitude with which a logged flight begins, compared with that of the study.
 
-A vehicle in wind is tilted, and one in a manoeuvre turns. A study that begins level sees it drift away at first, and
-another wind, drag or integral explains that.
+A vehicle in wind is tilted, and one in a manoeuvre turns. Compared with a study that begins level, it drifts away at
+first, and a fit explains that by another wind, drag or integral.
 """
 
 import math
@@ -22,8 +22,8 @@ from dssc_jax.models.uav.onboard import UavState
 from dssc_jax.study import Study
 from dssc_jax.study.record_files import recorded_frame
 
-TILTED = math.radians(1.0)  # between the log's and the study's tilt
-TURNING = 0.1  # rad/s, between their body rates
+TILTED = math.radians(1.0)  # least difference between the tilt of the log and that of the study that is reported
+TURNING = 0.1  # rad/s, least difference between the body rates of the log and of the study that is reported
 NEAR = 0.1  # s from the beginning of the study, within which the log needs a value
 ULOG_COLUMNS = {
     "phi": "vehicle_attitude.phi",
@@ -45,7 +45,7 @@ class FirstMotion(NamedTuple):
 
 
 def attitude_columns(log: FlightLog) -> dict[str, Column]:
-    """Get roll, pitch and body rate as far as a log has them; reads its file once more."""
+    """Get the columns of roll, pitch and body rate that a log has, by name; the log's file is read once more."""
     if log.file is None:
         return {name: log.columns[name] for name in ULOG_COLUMNS if name in log.columns}
     if is_ulog(log.file):
@@ -70,7 +70,7 @@ def has_attitude_fields(topics: TopicData, column: str) -> bool:
 
 
 def value_near(column: Column | None, time: float) -> float:
-    """The value of a column nearest to a time; NaN where none is near."""
+    """The value of a column nearest to a time of the log [s]; NaN if there is none near it."""
     if column is None:
         return math.nan
     rows = np.flatnonzero(np.isfinite(column.time) & np.isfinite(column.value))
@@ -81,7 +81,7 @@ def value_near(column: Column | None, time: float) -> float:
 
 
 def logged_motion(log: FlightLog) -> FirstMotion:
-    """The attitude and body rate with which a log begins."""
+    """The attitude and body rate at the time of the log at which the study begins."""
     columns = attitude_columns(log)
     angles_and_rates = []
     for names in (ANGLES, RATES):
@@ -101,9 +101,9 @@ def study_motion(study: Study) -> FirstMotion | None:
 
 
 def attitude_hints(study: Study, log: FlightLog) -> dict[str, Hint]:
-    """Hints that a log begins with another tilt or body rate than the study, by the study's fields.
+    """Hints that a log begins with another tilt or body rate than the study, by name of the study's field.
 
-    Numbers with laws are left out, as a fit estimates them.
+    Fields whose numbers have laws get no hint, because a fit estimates them.
     """
     if not hasattr(study.template.plant, "body_rate"):
         return {}

@@ -1,6 +1,7 @@
-"""Hints about the signals of a channel, alone and beside the analysed controller's command for them.
+"""Hints about the signals of a channel, by themselves and by the analysed controller's command for them.
 
-A hint that explains others takes their place: a wrong column, for example, those about units and times of its signals.
+A hint that explains others replaces them. A hint about a wrong column, for example, replaces those about units and
+times of the channel's signals.
 """
 
 from collections.abc import Mapping
@@ -35,9 +36,9 @@ class LoggedChannel:
 
     Args:
         index: Position of the channel in the loop.
-        name: Its name.
-        units: Units of its signals.
-        signals: Its signals by their names without the channel, NaN where missing, shape (samples,) each.
+        name: Name of the channel.
+        units: Units of the channel's signals.
+        signals: Logged signals by their names without the channel, NaN where missing, shape (samples,) each.
         reference: The study's reference and its derivatives, shape (3, samples).
     """
 
@@ -48,7 +49,7 @@ class LoggedChannel:
     reference: np.ndarray
 
     def signal(self, label: str) -> str:
-        """Name of a signal in the log."""
+        """Name in the log of the channel's signal with a label such as ``y``."""
         return signal_name(self.name, label)
 
 
@@ -77,7 +78,7 @@ def add_output_hints(hints: LogHints, study: Study, channel: LoggedChannel) -> N
 
 
 def follows_logged_reference(hints: LogHints, channel: LoggedChannel) -> bool:
-    """Whether an output follows no multiple of the logged reference, and that is in the study's unit.
+    """Whether the logged reference is in the study's unit, and the output follows no multiple of that reference.
 
     Args:
         hints: The hints so far.
@@ -97,7 +98,7 @@ def add_replay_hints(
         hints: The hints so far.
         log: The log.
         channel: The channel.
-        replay: Its controller.
+        replay: The channel's controller.
         command: The controller's command, shape (samples,), or why there is none.
     """
     if "u_total" not in channel.signals or not has_enough_outputs(channel.signals):
@@ -115,13 +116,13 @@ def wrong_columns(
     command: np.ndarray | str,
     conversions: Mapping[str, Hint],
 ) -> dict[str, Hint]:
-    """The hint about a channel's columns, by signal, as its controller's command for them tells; empty: none is wrong.
+    """The hints about a channel's wrong columns, by signal, from its controller's command; empty: none is wrong.
 
     Args:
         replay: The channel's controller.
         signals: The channel's signals by their names without it, NaN where missing, each of shape (samples,).
-        command: The controller's command for them, shape (samples,), or why there is none.
-        conversions: What the signals alone tell; a hint of it about the same columns stays.
+        command: The controller's command for these signals, shape (samples,), or why there is none.
+        conversions: Hints from the signals alone; if one is about the same columns, it is kept.
     """
     hints = column_hints(replay, signals, command)
     for name, hint in hints.items():
@@ -136,13 +137,13 @@ def add_command_hints(
 ) -> None:
     """Add the hint about a logged command that is not the analysed controller's.
 
-    A cause that is found is removed from the controller's command before the next one is looked for.
+    After a cause is found, the controller's command with that cause mended serves to find the next cause.
 
     Args:
         hints: The hints so far.
         log: The log.
         channel: The channel, with a logged command.
-        replay: Its controller.
+        replay: The channel's controller.
         command: The controller's command, shape (samples,).
     """
     signals = channel.signals

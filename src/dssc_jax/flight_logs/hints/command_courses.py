@@ -9,9 +9,9 @@ from dssc_jax.flight_logs.hints.conversions import FEWER, rms
 from dssc_jax.flight_logs.signal_warnings import Hint
 
 EXPLAINED = 0.1  # share of the command's deviation that may be left
-LAGS = (1.0, 50.0)  # samples
-LARGEST_RATE = 0.1  # difference of a clock from the other one
-LEAST_SHIFT = 2.0  # samples at the end of the log, by which another clock is told
+LAGS = (1.0, 50.0)  # samples: the range of time constants that are tried
+LARGEST_RATE = 0.1  # largest relative difference of two clocks that is tried
+LEAST_SHIFT = 2.0  # samples at the end of the log, by which another clock is reported
 
 
 def course_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, deviation: float) -> Hint | None:
@@ -21,7 +21,7 @@ def course_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, de
         logged: The logged command, NaN where missing, shape (samples,).
         replayed: The command of the analysed controller, shape (samples,).
         sample_time: Time between two samples [s].
-        deviation: Deviation of the logged command.
+        deviation: Root mean square deviation of the logged command from its median.
     """
     tolerance = min(EXPLAINED * deviation, FEWER * rms(logged - replayed))
     lag, left = best_lag(logged, replayed)
@@ -43,7 +43,15 @@ def course_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, de
 
 
 def best_lag(logged: np.ndarray, original: np.ndarray) -> tuple[float, float]:
-    """The time constant [samples] of the lag behind which a signal is nearest to a logged one, and what it leaves."""
+    """The first-order lag behind which a signal is nearest to a logged one.
+
+    Args:
+        logged: The logged signal, NaN where missing, shape (samples,).
+        original: The signal without the lag, shape (samples,).
+
+    Returns:
+        The time constant [samples], and the root mean square of the remaining difference.
+    """
 
     def left(logarithm: float) -> float:
         """The root mean square of the difference."""
@@ -56,7 +64,15 @@ def best_lag(logged: np.ndarray, original: np.ndarray) -> tuple[float, float]:
 
 
 def best_rate(logged: np.ndarray, original: np.ndarray) -> tuple[float, float]:
-    """The rate of the clock by which a signal is nearest to a logged one, and what it leaves."""
+    """The rate of the clock with which a signal is nearest to a logged one.
+
+    Args:
+        logged: The logged signal, NaN where missing, shape (samples,).
+        original: The signal by the right clock, shape (samples,).
+
+    Returns:
+        The rate, and the root mean square of the remaining difference.
+    """
     rows = np.arange(len(original), dtype=float)
 
     def left(rate: float) -> float:
@@ -68,7 +84,7 @@ def best_rate(logged: np.ndarray, original: np.ndarray) -> tuple[float, float]:
 
 
 def bounded_minimum(left: Callable[[float], float], grid: np.ndarray) -> tuple[float, float]:
-    """The least value of a function near the best of some points, with its place before it."""
+    """Minimise a function near the best of some points; return the place of the minimum, and the value there."""
     place = int(np.clip(np.argmin([left(point) for point in grid.tolist()]), 1, len(grid) - 2))
     found = optimize.minimize_scalar(left, bounds=(grid[place - 1], grid[place + 1]), method="bounded")
     return float(found.x), left(float(found.x))

@@ -1,8 +1,8 @@
 """How a logged command follows from the one that the analysed controller gives for the logged measurements.
 
-The same measurements with their noise lead to the same command, but for the controller's first state. So a multiple, a
-delay, an offset or a slower clock shows, which a fit would put into gains, lags and disturbances; so does another
-controller.
+The same measurements, with their noise, give the same command, except for the effect of the controller's first state.
+So a multiple, a delay, an offset, a slower clock or another controller shows in the difference. A fit would put these
+into gains, lags and disturbances.
 """
 
 import numpy as np
@@ -27,24 +27,27 @@ LARGE_FACTOR = 5.0  # of a command or its inverse: no other gains of one control
 LONGEST_SHIFT = 0.5  # s
 LONGEST_SHARE = 0.1  # of the log
 EXPLAINED = 0.1  # share of the command's deviation from its median that may be left of a command that is explained
-LARGE_OFFSET = 0.005  # share of that deviation: a smaller offset is not told
+LARGE_OFFSET = 0.005  # share of that deviation: a smaller offset is not reported
 LEAST_VALUES = 20
-FASTER = 0.75  # share of T_s: commands that change more often are those of a faster controller
+FASTER = 0.75  # share of T_s: if the time between two changes is shorter, the controller is faster than the study's
 ANOTHER = 0.1  # share of the command's deviation from its median: a larger difference is that of another controller
 LEAST_STUCK = 5  # equal samples in a row of a command that sticks
 STUCK = 10.0  # factor on the difference elsewhere: a larger one beside equal values is that of a command that sticks
-MOST_SPIKES = 12  # single values of a log that are told
-NAMED_SPIKES = 3  # whose times are told
+MOST_SPIKES = 12  # largest number of spikes in a log that are reported as such
+NAMED_SPIKES = 3  # spikes whose times a message names
 MUCH_LARGER = 5.0  # factor on the jump of the replay: a larger one of the log is that of a spike
-MOST_SPANS = 3  # in which a command sticks
+MOST_SPANS = 3  # largest number of spans in which a command sticks
 
 
 def rate_hint(command: Column, sample_time: float) -> Hint | None:
-    """That a command was interpolated, or changes more often than the study's controller gives one; None if neither.
+    """The hint that a command was interpolated, or changes more often than the study's controller gives commands.
 
     Args:
         command: The command as logged.
         sample_time: T_s of the study [s].
+
+    Returns:
+        None if neither holds.
     """
     is_limited = np.isin(command.value, (np.nanmin(command.value), np.nanmax(command.value)))
     is_bend = bends(np.where(is_limited, np.nan, command.value))  # a line at a limit is no interpolation
@@ -72,8 +75,9 @@ def rate_hint(command: Column, sample_time: float) -> Hint | None:
 def command_unit(logged: np.ndarray, replayed: np.ndarray, unit: str) -> str:
     """The unit or sign of a logged command that is certainly not the study's, in words; empty if none is certain.
 
-    It is the analysed controller's command, to noise, in another unit that is known, or at all times a multiple of it
-    that no other gains give: a negative or a large one. The multiple may have an offset, such as the thrust at hover.
+    There are two cases. Either the logged command is, to noise, the analysed controller's in another known unit. Or it
+    is throughout a multiple that no other gains give, a negative or a large one; an offset may be added, such as the
+    thrust at hover.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
@@ -106,14 +110,14 @@ def command_unit(logged: np.ndarray, replayed: np.ndarray, unit: str) -> str:
 def command_hint(
     logged: np.ndarray, replayed: np.ndarray, sample_time: float, unit: str, has_reference: bool = True
 ) -> Hint | None:
-    """How the logged command follows from the replayed one, in words; None if both are the same or nothing is certain.
+    """The hint about how a logged command differs from the replayed one; None if it does not, or nothing is certain.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
         replayed: The command of the analysed controller, shape (samples,).
         sample_time: Time between two samples [s].
         unit: Unit of the command.
-        has_reference: Whether the log has a reference; else the replay took that of the study.
+        has_reference: Whether the log has a reference; if not, the replay has used that of the study.
     """
     factor = multiple_of(logged, replayed)
     if factor != 1.0:
@@ -200,7 +204,7 @@ def command_hint(
 
 
 def constant_offset(logged: np.ndarray, replayed: np.ndarray) -> float | None:
-    """The constant by which a command lies beside the analysed controller's [u]; None if it differs otherwise.
+    """The constant by which a command differs from the analysed controller's [u]; None if it differs in another way.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
@@ -217,9 +221,9 @@ def constant_offset(logged: np.ndarray, replayed: np.ndarray) -> float | None:
 
 
 def spike_rows(logged: np.ndarray, replayed: np.ndarray) -> list[int]:
-    """The samples of a few single values that make nearly all of the difference to the replay; none if it has others.
+    """The samples of a few spikes that make nearly all of the difference to the replay; none if there is another cause.
 
-    A spike is one in the logged command alone. A controller that answers a jump has one in the replay, too.
+    Only the logged command has a spike. Where a controller answers a jump, the replayed command has a peak, too.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
@@ -241,15 +245,15 @@ def spike_rows(logged: np.ndarray, replayed: np.ndarray) -> list[int]:
 
 
 def jump_at(values: np.ndarray, row: int) -> float:
-    """How far a value is from the middle between its neighbours."""
+    """How far the value at a row is from the mean of its two neighbours."""
     return abs(float(values[row] - 0.5 * (values[row - 1] + values[row + 1])))
 
 
 def stuck_spans(logged: np.ndarray, replayed: np.ndarray) -> list[tuple[int, int]]:
-    """The first and last samples of spans in which a command sticks; none where they are many, or nothing is certain.
+    """The first and last samples of spans in which a command sticks; none if there are many, or nothing is certain.
 
     A command sticks where it repeats one value, the replayed one differs at most of the samples, and both agree outside
-    of such spans. A command at its limits does not, as the replayed one rests there, too.
+    of such spans. A command at its limits does not stick, because the replayed one rests there, too.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
@@ -277,7 +281,16 @@ def held_like(logged: np.ndarray, replayed: np.ndarray) -> np.ndarray:
 
 
 def best_shift(logged: np.ndarray, replayed: np.ndarray, longest: int) -> tuple[int, float]:
-    """The delay of the logged command that leaves the least difference [samples], and the rms of that difference."""
+    """The delay of the logged command that leaves the least difference, and the root mean square of that difference.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        replayed: The command of the analysed controller, shape (samples,).
+        longest: The longest delay that is tried [samples].
+
+    Returns:
+        The delay [samples], negative if the logged command is earlier; and the difference [u].
+    """
     samples = len(logged)
     best = 0
     smallest = rms(logged - replayed)

@@ -70,7 +70,7 @@ CONVERSIONS = (
 RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
 SAME_MULTIPLE = 1.05  # factor between two multiples: closer, they are one, as 100 and 102
-LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
+LEAST_FACTOR = 0.02  # least difference of a multiple from 1 that is reported
 LARGE_MULTIPLE = 3.0  # of its reference that an output follows late
 LATE_SHARE = 0.1  # of the samples by which it may be late
 LATE_SIZE = 0.3  # relative difference of its root mean square from a multiple of it
@@ -120,7 +120,7 @@ def conversion_text(
 
 
 def multiple_of(logged: np.ndarray, expected: np.ndarray) -> float:
-    """The factor by which a logged signal is the expected one at all times; 1 if it is another signal, or the same.
+    """The factor by which a logged signal is a multiple of the expected one; 1 if it is the same, or another signal.
 
     Args:
         logged: Values, NaN where missing, shape (samples,).
@@ -141,9 +141,9 @@ def multiple_of(logged: np.ndarray, expected: np.ndarray) -> float:
 def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
     """The multiple of its reference that a logged output follows, in words; empty: it follows none.
 
-    A closed loop follows its reference, so such an output is in another unit. It is one if the part of the output in
-    phase with its reference is nearly that multiple of it. The opposite sign is one only if the means have it, too: a
-    slow loop may lag by half a period.
+    A closed loop follows its reference, so an output that follows a multiple is in another unit. A multiple counts if
+    the part of the output in phase with the reference is nearly that multiple of it. The opposite sign counts only if
+    the means are opposite, too, because a slow loop may lag by half a period.
 
     Args:
         logged: The output, NaN where missing, shape (samples,).
@@ -168,7 +168,8 @@ def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) ->
 def late_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
     """The large multiple of its reference that an output follows late, as a slow loop does, in words; empty: none.
 
-    No loop exceeds its reference by three times and looks like it. A sign is left open, as half a period is one, too.
+    No loop has three times the size of its reference and still looks like it. Opposite signs are not tried, because a
+    lag of half a period looks the same.
 
     Args:
         logged: Values, NaN where missing, shape (samples,).
@@ -195,7 +196,7 @@ def late_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str
 
 
 def has_opposite_mean(logged: np.ndarray, reference: np.ndarray) -> bool:
-    """Whether a reference has a mean that says something, and the output nearly the opposite one; no lag turns that."""
+    """Whether a reference has a large mean, and the output nearly the opposite one; no lag turns the sign of a mean."""
     mean = float(reference.mean())
     return abs(mean) > MEAN * rms(reference) and abs(float(logged.mean()) / mean + 1.0) <= IN_PHASE
 
@@ -210,7 +211,7 @@ def likeness_text(
     little apart, are alike by themselves.
 
     Args:
-        index: Position of its channel.
+        index: Position of the channel.
         logged: Values, NaN where missing, shape (samples,).
         expected: The expected output of each channel at the same times.
         names: Names of the outputs.
@@ -235,7 +236,7 @@ def likeness_text(
 
 
 def delayed_pairs(logged: np.ndarray, expected: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """A logged output beside the expected one, for all delays and leads that a channel may have itself.
+    """A logged output and the expected one, for all delays and leads that the channel itself may have.
 
     Args:
         logged: Values, shape (samples,).
@@ -251,7 +252,7 @@ def delayed_pairs(logged: np.ndarray, expected: np.ndarray) -> list[tuple[np.nda
 
 
 def line_through(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The values a + b x that are nearest to y in the mean square, shape (n,); y may lack some, which are NaN."""
+    """The values a + b x of the line nearest to y in the mean square, shape (n,); x and y may have NaN."""
     is_finite = np.isfinite(x) & np.isfinite(y)
     if not is_finite.any():
         return np.full(len(y), np.nan)
@@ -300,7 +301,7 @@ def reference_conversion(
 
     Args:
         index: Position of the channel.
-        logged: Its logged reference, NaN where missing, shape (samples,).
+        logged: The channel's logged reference, NaN where missing, shape (samples,).
         references: The study's references, shape (channels, samples).
         channels: Names of the channels.
         unit: Unit of the channel's output.
@@ -322,7 +323,7 @@ def reference_conversion(
 def is_same_reference(logged: np.ndarray, reference: np.ndarray) -> bool:
     """Whether a logged reference is the study's.
 
-    It may differ at few samples, none next to another, where an edge falls to the sample before or after.
+    The references may differ at a few single samples, where an edge falls to the sample before or after.
 
     Args:
         logged: Values, NaN where missing, shape (samples,).
@@ -336,7 +337,7 @@ def is_same_reference(logged: np.ndarray, reference: np.ndarray) -> bool:
 
 
 def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
-    """The samples by which a logged reference is later than the study's; 0: it is the same, or no shift of it.
+    """The number of samples by which a logged reference is later than the study's; 0: it is the same, or no shift.
 
     Of several shifts the smallest counts, and none above half of the reference's period.
     """
@@ -357,11 +358,11 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
 
 
 def period_of(reference: np.ndarray, longest: int) -> int:
-    """The period of a reference in samples: the least shift that agrees with it beyond shorter ones that do not.
+    """The period of a reference in samples: the least shift that agrees with it after a shorter one that does not.
 
     Args:
         reference: The reference, shape (samples,).
-        longest: The longest period that is sought; twice as much is returned if there is none.
+        longest: The longest period that is sought; twice this value is returned if there is none.
     """
     largest_difference = SAME_REFERENCE * rms(reference - np.mean(reference))
     has_differed = False
@@ -376,7 +377,7 @@ def period_of(reference: np.ndarray, longest: int) -> int:
 def is_shifted(logged: np.ndarray, reference: np.ndarray, shift: int) -> bool:
     """Whether a logged reference agrees with the study's, shifted by a number of samples.
 
-    One that never moves, or is not logged, contradicts no shift.
+    A reference that never moves, or is not logged, agrees with any shift.
     """
     variation = rms(reference - np.mean(reference))
     if variation == 0.0 or not np.isfinite(logged).any():

@@ -1,4 +1,4 @@
-"""A logged reference that the controller did not get: it got that of the study, which the log has filtered, or held."""
+"""A logged reference that the controller did not get: it got the study's, and the log has it filtered or held."""
 
 from collections.abc import Mapping
 
@@ -14,12 +14,12 @@ from dssc_jax.flight_logs.signal_warnings import Hint
 
 
 def study_reference_text(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray) -> str:
-    """That the controller got the study's reference and not the logged one; empty if its commands do not say so.
+    """The evidence that the controller got the study's reference and not the logged one, in words; empty if none.
 
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, with u_total, each of shape (samples,).
-        command: The controller's command for them, shape (samples,).
+        command: The controller's command for the logged signals, shape (samples,).
     """
     by_study = replay.command({name: values for name, values in logged.items() if not name.startswith("y_ref")})
     if isinstance(by_study, str):
@@ -41,7 +41,7 @@ def study_reference_hint(replay: ChannelReplay, logged: Mapping[str, np.ndarray]
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, with u_total and y_ref, each of shape (samples,).
-        command: The controller's command for them, shape (samples,).
+        command: The controller's command for the logged signals, shape (samples,).
     """
     text = study_reference_text(replay, logged, command)
     if not text:
@@ -60,7 +60,7 @@ def filtered_text(logged: np.ndarray, reference: np.ndarray, sample_time: float)
 
     Args:
         logged: The logged reference, NaN where missing, shape (samples,).
-        reference: The study's, shape (samples,).
+        reference: The study's reference, shape (samples,).
         sample_time: Time between two samples [s].
     """
     tolerance = SAME_REFERENCE * rms(reference - np.mean(reference))

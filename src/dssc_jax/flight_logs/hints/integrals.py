@@ -1,8 +1,8 @@
 """Whether a logged output is the integral of its logged derivative: another factor is another unit, sign or clock.
 
-With X the integral of y' and the output y = a + b t + s X, the factor s is 1. A noise of y' and a drift of its bias are
-part of the residual. Batches of it, as long as its correlation, tell the deviation of s. A constant bias of y', or a
-steady drift of y, is b.
+With X the integral of y' and the output y = a + b t + s X, the factor s is 1. Noise of y' and a drift of its bias are
+part of the residual. Batches of the residual, as long as its correlation, give the standard deviation of s. A constant
+bias of y', or a steady drift of y, is b.
 """
 
 from typing import NamedTuple
@@ -53,7 +53,7 @@ class Factor(NamedTuple):
 
     @property
     def differs(self) -> bool:
-        """Whether it certainly differs from 1."""
+        """Whether the factor certainly differs from 1."""
         distance = abs(self.value - 1.0)
         is_accurate = self.deviation < ACCURATE * abs(self.value)
         return is_accurate and distance > max(LEAST_DIFFERENCE, DEVIATIONS * self.deviation)
@@ -62,7 +62,7 @@ class Factor(NamedTuple):
 def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Factor | None:
     """Estimate the factor of an output over the integral of its rate, between two times of the log [s].
 
-    None if too few values, too rare ones, or noise leave it open.
+    None if the values are too few, too rare or too noisy to tell the factor.
     """
     output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
     if min(len(output.time), len(slope.time)) < LEAST_VALUES:
@@ -98,15 +98,15 @@ def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Facto
 
 
 def integral_drift(y: Column, y_dot: Column, begin: float, end: float) -> float:
-    """The slope over the time of an output less the integral of its rate; 0 if it is small, or no straight line.
+    """The drift of an output beside the integral of its rate, per second; 0 if it is small, or no straight line.
 
-    Means over batches of the time count, which noise of the output hardly moves.
+    The line is fitted to means over batches of the time, which noise of the output hardly moves.
 
     Args:
         y: The output.
         y_dot: Its rate.
         begin: Time of the log from which on values count [s].
-        end: Time up to which they count [s].
+        end: Time of the log up to which values count [s].
     """
     output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
     if min(len(output.time), len(slope.time)) < LEAST_VALUES or slope.time[-1] - slope.time[0] <= 0.0:
@@ -140,12 +140,12 @@ def are_exchanged(y: Column, y_dot: Column, begin: float, end: float) -> bool:
 def is_opposite(y: Column, y_dot: Column, factor: Factor | None, begin: float, end: float) -> bool:
     """Whether an output is the integral of its derivative with the opposite sign, between two times of the log [s].
 
-    A slow sine is also the integral of its derivative if both are exchanged; there the sign goes first.
+    Exchanged columns of a slow sine have the same effect. The opposite sign is then taken for the cause.
 
     Args:
         y: The output.
         y_dot: Its derivative.
-        factor: The output over the integral of its derivative; None if it is open.
+        factor: The change of the output over the integral of its derivative; None if it is not known.
         begin: Time of the log from which on values count [s].
         end: Time up to which they count [s].
     """
@@ -158,7 +158,7 @@ def is_opposite(y: Column, y_dot: Column, factor: Factor | None, begin: float, e
 
 
 def likeness_to_integral(output: Column, rate: Column) -> float:
-    """The correlation of an output with the integral of a rate, both without a straight line; 0 if one is 0."""
+    """The correlation of an output with the integral of a rate, both less their straight lines; 0 if one is 0."""
     sizes = float(np.abs(output.value).max()), float(np.abs(rate.value).max())
     if min(sizes) == 0.0:
         return 0.0
@@ -173,7 +173,7 @@ def likeness_to_integral(output: Column, rate: Column) -> float:
 
 
 def values_between(column: Column, begin: float, end: float) -> Column:
-    """Select the values between two times; of several at one time, the first."""
+    """Select the values between two times [s]; of several values at the same time, the first one."""
     selected_rows = np.flatnonzero((column.time >= begin) & (column.time <= end))
     rows = selected_rows[np.diff(column.time[selected_rows], prepend=-np.inf) > 0.0]
     return Column(column.time[rows], column.value[rows])
@@ -212,7 +212,7 @@ def jumps_beside(y: Column, y_dot: Column, begin: float, end: float) -> list[Jum
 
 
 def usual_size(values: np.ndarray) -> float:
-    """The standard deviation of normal numbers from their median size, which a few outliers hardly change."""
+    """The standard deviation by the median absolute value, as of normal numbers; a few outliers hardly change it."""
     return TO_DEVIATION * float(np.median(np.abs(values)))
 
 
@@ -226,7 +226,7 @@ def are_copies(first: Column | None, second: Column | None) -> bool:
 
 
 def is_still(column: Column) -> bool:
-    """Whether a column holds one number."""
+    """Whether a column holds the same number throughout."""
     finite_values = column.value[np.isfinite(column.value)]
     return finite_values.size > 0 and float(finite_values.min()) == float(finite_values.max())
 
@@ -266,14 +266,14 @@ def add_integral_hints(hints: LogHints, study: Study, log: FlightLog) -> None:
 
 
 def still_text(y: Column, rate: Column, y_name: str, begin: float, end: float) -> str:
-    """What a rate is that rests, always or for a while, while its output moves; empty if it does not.
+    """The words about a rate that rests, throughout or for a while, while its output moves; empty if it does not rest.
 
     Args:
         y: The output.
         rate: Its derivative.
-        y_name: The output's signal.
-        begin: Time of the log from which on it counts [s].
-        end: Time up to which it counts [s].
+        y_name: Name of the output's signal.
+        begin: Time of the log from which on both count [s].
+        end: Time of the log up to which both count [s].
     """
     if is_still(rate) and not is_still(y):
         return f"does not change while {y_name} does: its column holds something else"
@@ -303,7 +303,7 @@ def copy_hints(log: FlightLog, channel: str) -> dict[str, Hint]:
 
 
 def stuck_text(begin: float, end: float) -> str:
-    """What an output is that repeats one value between two times of the log [s]."""
+    """The words about a signal that repeats one value between two times of the log [s]."""
     return (
         f"repeats one value from {begin:.4g} s to {end:.4g} s of the log, and changes at each reading else: the sensor "
         "sticks, or its topic does. Take the part before or after"
@@ -356,8 +356,8 @@ def declares_rate_bias(study: Study) -> bool:
 
 
 def add_factor_hint(hints: LogHints, factor: Factor, y_name: str, rate_name: str, unit: str) -> None:
-    """Say what the factor between an output and the integral of its derivative means: a unit, sign, scale or clock."""
-    changes_less = abs(factor.value) < 1.0  # the output, than the integral
+    """Add the hint about a factor of an output over the integral of its derivative: a unit, sign, scale or clock."""
+    changes_less = abs(factor.value) < 1.0  # the output changes less than the integral
     multiple = unit_text(factor.value, unit)
     inverse = unit_text(1.0 / factor.value, unit)
     if inverse and changes_less:

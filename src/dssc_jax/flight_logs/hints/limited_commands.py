@@ -1,7 +1,8 @@
 """A logged command at limits that the analysed controller does not have.
 
-Such a command repeats its extreme values. The analysed controller's command, clipped there, is the logged one where its
-integral goes on at the limit, as behind an actuator. With its own limits, if it has any, the integral is held back.
+Such a command repeats its extreme values. There are two cases. If the controller's integral went on at the limit, as
+before an actuator with limits, the logged command is the analysed controller's, clipped. If the flown controller had
+limits of its own, which hold back the integral, the logged command is that of the analysed controller with such limits.
 """
 
 from collections.abc import Mapping
@@ -37,7 +38,7 @@ class Limits(NamedTuple):
 
 
 def repeated_limits(logged: np.ndarray, replayed: np.ndarray) -> Limits:
-    """The extreme values that a logged command repeats where the analysed controller's is beyond them.
+    """The extreme values that a logged command repeats while the analysed controller's command is beyond them.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
@@ -51,7 +52,7 @@ def repeated_limits(logged: np.ndarray, replayed: np.ndarray) -> Limits:
 
 
 def limited_command(replay: ChannelReplay, logged: Mapping[str, np.ndarray], limits: Limits) -> np.ndarray | None:
-    """The command of the analysed controller with these limits; None if it has no fields for them.
+    """The command that the analysed controller would give with these limits; None if it has no fields for limits.
 
     Args:
         replay: The channel's controller.
@@ -77,13 +78,16 @@ def has_saturation(study: Study) -> bool:
 def limited_hint(
     replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray, unit: str
 ) -> Hint | None:
-    """That a logged command is the analysed controller's within limits that this lacks; None if that is not certain.
+    """The hint that a logged command is the analysed controller's within limits that the study's controller lacks.
 
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, with u_total, each of shape (samples,).
-        command: The controller's command for them, shape (samples,).
+        command: The controller's command for these signals, shape (samples,).
         unit: Unit of the command.
+
+    Returns:
+        None if that is not certain.
     """
     flown = logged["u_total"]
     limits = repeated_limits(flown, command)

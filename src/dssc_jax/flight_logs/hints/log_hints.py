@@ -1,4 +1,4 @@
-"""All hints about a log, by what they concern, gathered one after another."""
+"""The collection of all hints about a log, grouped by what they concern."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -42,7 +42,7 @@ class LogHints:
         self.conversions.update(hints)
 
     def all(self) -> dict[str, Hint]:
-        """All of them, by signal or number."""
+        """All hints, by signal or number; of several about the same signal, that of the last kind in ``parts``."""
         numbers = (self.starts, self.attitudes)
         references = (self.shifts, self.others, self.slopes)
         parts = (self.factors, self.jumps, self.conversions, *references, *numbers, self.estimator)

@@ -1,6 +1,6 @@
-"""Commands that a log lacks for a few samples, where the analysed controller's go on.
+"""Commands that a log lacks for a few samples, while the analysed controller's command goes on.
 
-The log repeats the last one there, or has one value in place of all of them, such as 0.
+In such spans the log repeats the last command, or has one value, such as 0, in place of all commands.
 """
 
 from typing import NamedTuple
@@ -21,12 +21,12 @@ ONE_VALUE = 0.9  # least share of the differing samples that have that value
 
 
 class LostCommands(NamedTuple):
-    """Samples that repeat the command before them.
+    """A span of samples that repeat the command before them.
 
     Args:
-        begin: The first of them.
-        end: The last one.
-        difference: Largest difference from the analysed controller's command.
+        begin: Index of the first sample in the span.
+        end: Index of the last sample in the span.
+        difference: Largest difference from the analysed controller's command in the span [u].
     """
 
     begin: int
@@ -35,7 +35,7 @@ class LostCommands(NamedTuple):
 
 
 def lost_commands(logged: np.ndarray, replayed: np.ndarray) -> list[LostCommands]:
-    """Find the spans in which a log lacks commands; none where a slow controller or limits may explain them.
+    """Find the spans in which a log lacks commands; none if a slow controller or limits may explain the repeats.
 
     Both commands have to agree outside of the spans.
 
@@ -65,10 +65,10 @@ def lost_commands(logged: np.ndarray, replayed: np.ndarray) -> list[LostCommands
 
 
 def lost_commands_hint(spans: list[LostCommands], sample_time: float) -> Hint:
-    """That a log lacks commands, with the times of those that differ most, and the remedy.
+    """The hint that a log lacks commands, with the times of the spans that differ most, and the remedy.
 
     Args:
-        spans: The spans in which it does.
+        spans: The spans in which the log lacks commands.
         sample_time: Time between two samples [s].
     """
     largest = sorted(spans, key=lambda span: -span.difference)[:NAMED]
@@ -85,12 +85,12 @@ def lost_commands_hint(spans: list[LostCommands], sample_time: float) -> Hint:
 
 
 class ReplacedCommands(NamedTuple):
-    """Samples with one value in place of the commands.
+    """Samples at which a log has one value in place of the commands.
 
     Args:
-        value: The value.
-        begins: The first sample of each span, shape (spans,).
-        samples: The number of samples.
+        value: The value [u].
+        begins: Index of the first sample of each span, shape (spans,).
+        samples: Number of such samples in all spans.
     """
 
     value: float
@@ -101,8 +101,8 @@ class ReplacedCommands(NamedTuple):
 def replaced_commands(logged: np.ndarray, replayed: np.ndarray) -> ReplacedCommands | None:
     """Find one value in place of the commands at a few samples; None where a limit or a dead zone may explain it.
 
-    Both commands have to agree elsewhere. A limit has all commands beyond it at one value, and a dead zone all small
-    ones; a log that lacks some has most of those that are as near to the value.
+    Both commands have to agree elsewhere. A limit gives one value to all commands beyond it, and a dead zone to all
+    small commands. So most of the commands that are as near to the value have to be in the log.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
@@ -134,10 +134,10 @@ def replaced_commands(logged: np.ndarray, replayed: np.ndarray) -> ReplacedComma
 
 
 def replaced_commands_hint(replaced: ReplacedCommands, sample_time: float, unit: str) -> Hint:
-    """That a log has one value in place of commands, with the first times, and the remedy.
+    """The hint that a log has one value in place of commands, with the first times, and the remedy.
 
     Args:
-        replaced: The samples at which it does.
+        replaced: The value, and the samples that have it.
         sample_time: Time between two samples [s].
         unit: Unit of the command.
     """

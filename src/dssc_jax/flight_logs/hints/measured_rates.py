@@ -1,4 +1,4 @@
-"""A scale and an offset of y', which y tells, and with which the analysed controller gives the logged command."""
+"""A wrong scale or offset of y', found by comparison with y, and confirmed by the analysed controller's command."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -11,24 +11,24 @@ from dssc_jax.flight_logs.hints.replayed_columns import DESCRIBED
 from dssc_jax.flight_logs.reading.reader import forward_filled, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
 
-LEAST_SCALE = 0.01  # difference from 1 that is told
-LEAST_OFFSET = 0.02  # of the rate's root mean square
+LEAST_SCALE = 0.01  # least difference of a scale from 1 that is reported
+LEAST_OFFSET = 0.02  # least offset that is reported, as a share of the rate's root mean square
 
 
 class MendedRate(NamedTuple):
-    """What to say of a y' with a scale or an offset, and the controller's command without them, shape (samples,)."""
+    """The hint about a wrong scale or offset of y', and the controller's command for the right y', shape (samples,)."""
 
     hint: Hint
     command: np.ndarray
 
 
 def mended_rate(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray) -> MendedRate | None:
-    """The scale and the offset of a y' that is not what the controller got; None if they do not explain its command.
+    """The scale or offset by which y' differs from what the controller got; None if neither explains the command.
 
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, with u_total, each of shape (samples,).
-        command: The controller's command for them, shape (samples,).
+        command: The controller's command for these signals, shape (samples,).
     """
     if not all(name in logged and np.isfinite(logged[name]).any() for name in ("y", "y_dot")):
         return None
@@ -62,7 +62,13 @@ def mended_rate(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command
 
 
 def correction_text(scale: float, offset: float, unit: str) -> str:
-    """A scale and an offset of a column, in words; of a scale of 1, or an offset of 0, nothing."""
+    """A scale and an offset of a column, in words; a scale of 1 and an offset of 0 are left out.
+
+    Args:
+        scale: The scale.
+        offset: The offset, in the unit.
+        unit: Unit of the column.
+    """
     texts = []
     if scale != 1.0:
         texts.append(f"a scale of {scale:.4g}")

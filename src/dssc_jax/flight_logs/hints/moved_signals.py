@@ -1,8 +1,8 @@
-"""A reference, or an output, that reached the controller at another time, as the analysed controller tells.
+"""A reference, or an output, that reached the flown controller at another time than logged.
 
-With the reference of the log, or that of the study where the log has none, the analysed controller gives another
-command than the logged one. The time is sought by which that reference, or the measured output, has to be moved for
-both to agree.
+With the logged reference, or that of the study if the log has none, the analysed controller gives another command than
+the logged one. This module seeks the time by which that reference, or the measured output, has to be moved so that both
+commands agree.
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,10 @@ MEASUREMENT = ("y", "y_dot")
 
 
 class MovedSignal(NamedTuple):
-    """What to say of a signal at another time, and the controller's command for it, NaN where it is not known."""
+    """The hint about a signal at another time, and the controller's command for the moved signal, shape (samples,).
+
+    The command is NaN where the moved signal is not known.
+    """
 
     hint: Hint
     command: np.ndarray
@@ -35,9 +38,9 @@ class Move(NamedTuple):
     """A move of signals with which the controller gives the logged command.
 
     Args:
-        seconds: How much later they come, or earlier [s].
+        seconds: How much later the moved signals come [s]; negative: earlier.
         before: Share by :func:`command_share` without the move.
-        after: Share with it.
+        after: Share by :func:`command_share` with the move.
         command: The controller's command for the moved signals, NaN where they are not known, shape (samples,).
     """
 
@@ -48,13 +51,21 @@ class Move(NamedTuple):
 
 
 def moved(values: np.ndarray, shift: int) -> np.ndarray:
-    """Values that come a number of samples later, or earlier; the first or the last one stays; shape (samples,)."""
+    """Values moved to later samples, or to earlier ones for a negative shift; an end value fills the gap.
+
+    Args:
+        values: The values, shape (samples,).
+        shift: How many samples later they come; negative: earlier.
+    """
     rows = np.clip(np.arange(len(values)) - shift, 0, len(values) - 1)
     return values[rows]
 
 
 def replayed_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The reference with which a replay computes, as far as it is known, each of shape (samples,)."""
+    """The reference and its derivatives that a replay uses, as far as they are known, each of shape (samples,).
+
+    Logged signals count first. If the log has no y_ref, or that of the study, the study's signals fill the others.
+    """
     signals = {name: forward_filled(logged[name]) for name in REFERENCE if has_values(logged, name)}
     if "y_ref" not in signals or is_close(signals["y_ref"], replay.reference[0]):
         signals = {**dict(zip(REFERENCE, replay.reference, strict=True)), **signals}
@@ -62,16 +73,27 @@ def replayed_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) 
 
 
 def has_values(logged: Mapping[str, np.ndarray], name: str) -> bool:
-    """Whether a log has a signal."""
+    """Whether a log has at least one value of a signal.
+
+    Args:
+        logged: The channel's signals by name, NaN where missing.
+        name: Name of the signal.
+    """
     return name in logged and bool(np.isfinite(logged[name]).any())
 
 
 def command_for(
     replay: ChannelReplay, logged: Mapping[str, np.ndarray], signals: Mapping[str, np.ndarray], shift: int
 ) -> np.ndarray:
-    """The controller's command for signals that come a number of samples later, or earlier, shape (samples,).
+    """The controller's command for signals moved to later samples, or to earlier ones, shape (samples,).
 
-    NaN where the signals are not known, and everywhere if the controller gives none.
+    The command is NaN where the moved signals are not known, and everywhere if the controller gives none.
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals, NaN where missing, each of shape (samples,).
+        signals: The signals to move, each of shape (samples,).
+        shift: How many samples later they come; negative: earlier.
     """
     command = replay.command({**logged, **{name: moved(values, shift) for name, values in signals.items()}})
     if isinstance(command, str):
@@ -87,7 +109,7 @@ def moved_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray], com
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, with y and u_total, each of shape (samples,).
-        command: The controller's command for them, shape (samples,).
+        command: The controller's command for these signals, shape (samples,).
     """
     reference = replayed_reference(replay, logged)
     if not np.ptp(reference["y_ref"]) > 0.0:
@@ -104,7 +126,7 @@ def moved_output(replay: ChannelReplay, logged: Mapping[str, np.ndarray], comman
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, with y and u_total, each of shape (samples,).
-        command: The controller's command for them, shape (samples,).
+        command: The controller's command for these signals, shape (samples,).
     """
     measurement = {name: forward_filled(logged[name]) for name in MEASUREMENT if has_values(logged, name)}
     move = best_move(replay, logged, measurement, command)
@@ -122,12 +144,12 @@ def best_move(
 ) -> Move | None:
     """Find the move of signals for which the controller gives the logged command; None if nothing is certain.
 
-    It has to explain more than a move of the command does.
+    The move has to explain more than a move of the command alone does.
 
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, with y and u_total, each of shape (samples,).
-        signals: Those to move, without gaps, each of shape (samples,).
+        signals: The signals to move, without gaps, each of shape (samples,).
         command: The controller's command for the log, shape (samples,).
     """
     u = logged["u_total"]
@@ -139,7 +161,7 @@ def best_move(
     shares = {0: share}
 
     def try_shifts(middle: int, step: int, count: int) -> int:
-        """Try shifts around one, and tell the best of all so far."""
+        """Try shifts at a step on either side of a middle one, and return the best of all shifts so far."""
         for shift in range(middle - count * step, middle + count * step + 1, step):
             if shift not in shares and abs(shift) <= longest:
                 shares[shift] = command_share(u, command_for(replay, logged, signals, shift))
@@ -158,7 +180,12 @@ def best_move(
 
 
 def reason_of(replay: ChannelReplay, move: Move) -> str:
-    """Why signals were at another time: what the controller gives with them, and without the move."""
+    """The evidence for a move, in words: how well the controller gives the logged command with and without the move.
+
+    Args:
+        replay: The channel's controller.
+        move: The move.
+    """
     channel = replay.study.loop.channels[replay.index]
     side = "later" if move.seconds > 0.0 else "earlier"
     return (
@@ -169,12 +196,12 @@ def reason_of(replay: ChannelReplay, move: Move) -> str:
 
 
 def moved_text(replay: ChannelReplay, logged: Mapping[str, np.ndarray], move: Move) -> str:
-    """That the controller got its reference at another time, with the remedy.
+    """The words that the controller got its reference at another time, with the remedy.
 
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, each of shape (samples,).
-        move: How much later it was, or earlier.
+        move: The move of the reference.
     """
     reason = reason_of(replay, move)
     if has_values(logged, "y_ref"):

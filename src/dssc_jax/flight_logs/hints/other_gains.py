@@ -1,7 +1,7 @@
-"""Flights with another value of one number of the analysed controller: the factor by which it differs.
+"""Flights with another value of one number of the analysed controller, and the factor by which that value differs.
 
-Each number of the controller is sought alone. The controller gives the logged command for the logged measurements
-exactly with the number that flew, so little may be left: what resembles it leaves more.
+Each number of the controller is tried alone. With the value that flew, the controller gives the logged command for the
+logged measurements exactly. So only a small difference may be left: another number that acts alike leaves more.
 """
 
 import math
@@ -17,22 +17,22 @@ from dssc_jax.flight_logs.hints.references import median_values
 from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
-LARGEST_FACTOR = 4.0  # of a number, and its inverse
+LARGEST_FACTOR = 4.0  # largest factor of a number that is tried, and inverse of the least
 COARSE = 17  # factors that are tried first
 LEFT = 0.03  # share of what the command varies that may be left
 FEWER = 0.2  # share of the difference of the commands that may be left
-LEAST_DIFFERENCE = 0.02  # of the factor from 1
+LEAST_DIFFERENCE = 0.02  # least difference of the factor from 1 that is reported
 CLEARLY = 0.5  # share of what the next best number leaves: less, and it is that number
 
 
 class OtherGain(NamedTuple):
-    """A number of the controller with another value.
+    """A number of the controller that flew with another value.
 
     Args:
-        name: The number.
-        value: Its value in the study.
-        factor: The one that flew over that.
-        left: Root mean square of the difference of the commands with it.
+        name: Name of the number.
+        value: Value of the number in the study.
+        factor: The value that flew over that of the study.
+        left: Root mean square of the difference of the commands that is left with the value that flew [u].
     """
 
     name: str
@@ -42,7 +42,12 @@ class OtherGain(NamedTuple):
 
 
 def numbers_of_controller(study: Study, index: int) -> dict[str, float]:
-    """The numbers of a channel's controller that differ from 0 and may have any value, by name."""
+    """The numbers of a channel's controller that differ from 0 and may have any value, by name.
+
+    Args:
+        study: The study.
+        index: Position of the channel.
+    """
     medians = median_values(study)
     found = {}
     for name, number in study.numbers.items():
@@ -57,13 +62,13 @@ def numbers_of_controller(study: Study, index: int) -> dict[str, float]:
 def other_gain(
     replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray, most: float = math.inf
 ) -> OtherGain | None:
-    """The number of a controller with which it gives the logged command; None if there is none, or several do.
+    """The number whose other value makes the controller give the logged command; None if none or several do.
 
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, with u_total, each of shape (samples,).
         command: The controller's command with the study's numbers, shape (samples,).
-        most: Root mean square of the difference of the commands that may be left at most.
+        most: Largest root mean square of the difference of the commands that may be left [u].
     """
     numbers = numbers_of_controller(replay.study, replay.index)
     found = [best_factor(replay, logged, numbers, name) for name in numbers]
@@ -85,8 +90,8 @@ def best_factor(
     Args:
         replay: The channel's controller.
         logged: The channel's signals with u_total.
-        numbers: The numbers of the controller, which are all given so that it is compiled once.
-        name: The number.
+        numbers: Values of all numbers of the controller: with all of them as inputs, the replay is compiled once.
+        name: The number that gets a factor.
     """
 
     def left(logarithm: float) -> float:
@@ -100,7 +105,7 @@ def best_factor(
 
 
 def other_gain_hint(gain: OtherGain, unit: str) -> Hint:
-    """What is said of a command that another value of a number gives.
+    """The hint about a command that another value of one number gives.
 
     Args:
         gain: The number.

@@ -1,7 +1,7 @@
-"""Outputs that are logged too large or too small, or with an offset, as the analysed controller tells.
+"""Outputs that are logged too large or too small, found by replaying the analysed controller.
 
-The controller answers the error y_ref - y. Where the logged y is not the one that it got, its command for the log
-differs from the logged command. The factor is sought with which both agree.
+The controller answers the error y_ref - y. If the logged y is not the one that it got, its command for the log differs
+from the logged command. This module seeks the factor of y with which both commands agree.
 """
 
 from collections.abc import Mapping
@@ -16,9 +16,9 @@ from dssc_jax.flight_logs.reading.reader import forward_filled, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
 
 LARGEST = 1e100  # difference of two commands: squares of larger ones overflow
-WINDOW = 0.5  # s over which differences are averaged: noise of y in a derivative has no longer memory
+WINDOW = 0.5  # s over which differences are averaged, longer than the memory of noise of y in a derivative
 LEAST_WINDOWS = 16
-LEAST_DIFFERENCE = 0.01  # of the factor from 1
+LEAST_DIFFERENCE = 0.01  # least difference of the factor from 1 that is reported
 DEVIATIONS = 6.0  # least distance of the factor from 1, in its standard deviations
 EXPLAINED = 0.3  # largest share of the averaged difference that another reference leaves
 CLEARLY = 0.5  # share of what another cause leaves: less, and the factor is the better explanation
@@ -33,7 +33,7 @@ class ScaleSearch(NamedTuple):
     Args:
         largest: The largest factor, and the inverse of the least.
         points: Factors that are tried first.
-        explained: Largest share of the averaged difference that the factor leaves.
+        explained: Largest share of the averaged difference that the factor may leave.
     """
 
     largest: float
@@ -50,9 +50,9 @@ class Scale(NamedTuple):
 
     Args:
         factor: The logged output over the one that the controller got.
-        deviation: Its standard deviation.
-        share: Share of the averaged difference of the commands that it leaves.
-        differences: Root mean squares of the difference of the commands, before and after.
+        deviation: Standard deviation of the factor.
+        share: Share of the averaged difference of the commands that the factor leaves.
+        differences: Root mean squares of the difference of the commands without and with the factor [u].
     """
 
     factor: float
@@ -64,7 +64,7 @@ class Scale(NamedTuple):
 class AveragedDifference:
     """The difference of the logged command from that of the analysed controller, averaged over windows.
 
-    A constant is taken off, which an integral has that began elsewhere.
+    The mean is subtracted, because an integral that began at another value adds a constant.
 
     Args:
         replay: The channel's controller.
@@ -78,12 +78,17 @@ class AveragedDifference:
         self.width = max(1, min(round(WINDOW / replay.study.loop.sample_time), samples // LEAST_WINDOWS))
 
     def command(self, factor: float, offset: float = 0.0) -> np.ndarray:
-        """The controller's command for (y - offset) / factor, shape (samples,); NaN if it gives none."""
+        """The controller's command for (y - offset) / factor, shape (samples,); NaN if it gives none.
+
+        Args:
+            factor: Factor of the logged output.
+            offset: Offset of the logged output, in its unit.
+        """
         command = self.replay.command({**self.logged, "y": (self.logged["y"] - offset) / factor})
         return np.full(len(self.logged["u_total"]), np.nan) if isinstance(command, str) else command
 
     def averaged(self, values: np.ndarray) -> np.ndarray:
-        """The means of values over the windows that have any, without the mean of all, shape (windows,)."""
+        """Means of values over the windows with a logged command, less the mean of these means, shape (windows,)."""
         difference = np.where(np.isfinite(self.logged["u_total"]), values, np.nan)
         parts = difference[: len(difference) // self.width * self.width].reshape(-1, self.width)
         means = parts[np.isfinite(parts).any(axis=1)]
@@ -98,7 +103,7 @@ class AveragedDifference:
 
 
 class ScaledOutput(NamedTuple):
-    """What to say of an output with a wrong scale, and the controller's command for the right one."""
+    """The hint about an output with a wrong scale, and the controller's command for the right output."""
 
     hint: Hint
     command: np.ndarray
@@ -110,7 +115,7 @@ def scaled_output(replay: ChannelReplay, logged: Mapping[str, np.ndarray], comma
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, with y and u_total, each of shape (samples,).
-        command: The controller's command for them, shape (samples,).
+        command: The controller's command for these signals, shape (samples,).
     """
     difference = rms(logged["u_total"] - command)
     if not COMMAND_ROUNDING * rms(logged["u_total"]) < difference < LARGEST or not has_study_reference(replay, logged):
@@ -138,7 +143,7 @@ def has_wrong_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray],
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, with u_total, each of shape (samples,).
-        command: The controller's command for them, shape (samples,).
+        command: The controller's command for these signals, shape (samples,).
     """
     if has_study_reference(replay, logged):
         return False
@@ -150,7 +155,14 @@ def has_wrong_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray],
 
 
 def has_study_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> bool:
-    """Whether the reference is the study's and differs from 0; with another one, it may be the one that is wrong."""
+    """Whether the reference is the study's, and not 0 throughout. Another reference may be wrong instead of the output.
+
+    A log without a reference counts as one with that of the study.
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals, NaN where missing, each of shape (samples,).
+    """
     reference = replay.reference[0]
     if not np.any(reference):
         return False
@@ -192,7 +204,12 @@ def fitted_scale(averaged: AveragedDifference, search: ScaleSearch) -> Scale | N
 
 
 def least_by_others(averaged: AveragedDifference, before: np.ndarray) -> float:
-    """The root mean square of the averaged difference that an offset of y, or a factor of u, leaves."""
+    """The root mean square of the averaged difference that other causes leave: an offset of y, or a factor of u.
+
+    Args:
+        averaged: The difference of the commands.
+        before: The averaged difference without a correction, shape (windows,).
+    """
     size = rms(averaged.logged["y"])
     by_offset = averaged.averaged(averaged.command(1.0, STEP * size) - averaged.command(1.0)) / (STEP * size)
     by_factor = averaged.averaged(averaged.command(1.0))
@@ -200,6 +217,11 @@ def least_by_others(averaged: AveragedDifference, before: np.ndarray) -> float:
 
 
 def remaining(values: np.ndarray, regressor: np.ndarray) -> float:
-    """The root mean square of values that a multiple of a regressor leaves; both of shape (windows,)."""
+    """The root mean square of values that a multiple of a regressor leaves; both of shape (windows,).
+
+    Args:
+        values: The values, shape (windows,).
+        regressor: The regressor, shape (windows,).
+    """
     square = float(regressor @ regressor)
     return rms(values - (float(values @ regressor) / square if square > 0.0 else 0.0) * regressor)

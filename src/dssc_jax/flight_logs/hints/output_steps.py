@@ -1,4 +1,4 @@
-"""Steps of a logged output at those of its reference, which a wrong column has and no vehicle flies."""
+"""Steps of a logged output, and their cause: a wrapped angle, a wrong column with steps of a reference, or a reset."""
 
 from collections.abc import Sequence
 
@@ -29,14 +29,14 @@ def is_reference(output: np.ndarray, reference: np.ndarray) -> bool:
 
 
 def turn_of(sizes: np.ndarray, unit: str) -> float | None:
-    """The turn by which an output jumps each time; None if it is no angle.
+    """The full turn by which an output jumps each time, in the output's unit; None if it does not jump by turns.
 
-    An output in another unit is one if it jumps twice or more, each time by a turn in rad or in deg to 1 %: few studies
-    declare the unit of an angle.
+    Few studies declare the unit of an angle. So an output in another unit also counts as an angle if it jumps at least
+    twice, each time by a turn in rad or in deg to 1 %.
 
     Args:
         sizes: The jumps, in the output's unit.
-        unit: Its unit in the study.
+        unit: Unit of the output in the study.
     """
     sizes = np.asarray(sizes)
     if not sizes.size:
@@ -52,7 +52,7 @@ def turn_of(sizes: np.ndarray, unit: str) -> float | None:
 
 
 def step_cause(study: Study, index: int, times: Sequence[float], sizes: Sequence[float]) -> str:
-    """What steps of an output are that its rate, or the prediction, does not have, in words.
+    """The cause, in words, of steps that an output has, but not the output's rate or prediction.
 
     Args:
         study: The study.

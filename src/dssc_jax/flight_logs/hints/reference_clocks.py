@@ -1,4 +1,4 @@
-"""A log whose references are the study's with its times stretched, as of a clock that runs too fast or too slow."""
+"""A log whose references are the study's with stretched times, as by a clock that runs too fast or too slow."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,7 +19,7 @@ MOST_DIGITS = 6  # decimals of a stretch
 
 
 class StretchedReference(NamedTuple):
-    """A logged reference, and the study's at finer times.
+    """A logged reference, and the study's reference at finer times.
 
     Args:
         times: Times of the readings, from the study's beginning on [s], shape (n,).
@@ -34,21 +34,28 @@ class StretchedReference(NamedTuple):
     reference: np.ndarray
 
     def differs(self, stretch: float) -> np.ndarray:
-        """Whether each reading differs from the study's reference whose times are stretched, shape (n,)."""
+        """Whether each reading differs from the study's reference with times multiplied by ``stretch``, shape (n,)."""
         expected = np.interp(self.times / stretch, self.fine_times, self.reference)
         return np.abs(self.values - expected) > SAME_REFERENCE * rms(self.reference - np.mean(self.reference))
 
 
 def fine_times(sample_time: float, samples: int) -> np.ndarray:
-    """The times at which the study's reference is compared with a stretched one [s], shape (m,)."""
+    """The times at which the study's reference is compared with a stretched one [s], shape (m,).
+
+    Args:
+        sample_time: Sample time of the study [s].
+        samples: Number of samples of the study that the log covers.
+    """
     return sample_time / FINER * np.arange(round((1.0 + 2.0 * LARGEST_STRETCH) * FINER * samples))
 
 
 def reference_stretch(references: Sequence[StretchedReference]) -> float | None:
-    """The factor by which the times of all logged references are the study's, with as few digits as they tell.
+    """The factor of the study's times with which all logged references agree, rounded to the fewest digits that agree.
 
-    None if they agree with no factor, or with 1, or if none of them moves. A reading at which the reference jumps may
-    fall to either side.
+    A reading at which the reference jumps may differ, because it may fall to either side of the jump.
+
+    Returns:
+        None if the references agree with no factor, or with 1, or none of them moves.
     """
     moving = []
     for reference in references:
@@ -75,7 +82,7 @@ def reference_stretch(references: Sequence[StretchedReference]) -> float | None:
 
 
 def shortest_number(low: float, high: float) -> float:
-    """The number between two that has the fewest decimals.
+    """The middle of an interval, rounded to the fewest decimals that keep it within the interval.
 
     Example:
         >>> shortest_number(1.0189, 1.0211)
@@ -89,7 +96,12 @@ def shortest_number(low: float, high: float) -> float:
 
 
 def stretch_text(log: FlightLog, stretch: float) -> str:
-    """A stretch of a log's references in words, with the scale of its times that removes it."""
+    """A stretch of a log's references in words, with the scale of the log's times that removes the stretch.
+
+    Args:
+        log: The flight.
+        stretch: Times of the log over those of the study's reference.
+    """
     kind = "fast" if stretch > 1.0 else "slow"
     clock = f"the log's clock is {max(stretch, 1.0 / stretch):.4g} times too {kind}"
     text = f"is the study's with times x {stretch:.4g}: {clock}, or the flight had another reference"

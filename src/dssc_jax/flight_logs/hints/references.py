@@ -1,4 +1,4 @@
-"""A log's references beside those of its study: how far they differ, in which unit, and from which time."""
+"""A log's references compared with those of its study: how far they differ, and by which unit, factor or time."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -25,7 +25,7 @@ from dssc_jax.study import Study
 
 USUAL = 0.9
 """Share of the values of a rate that tell whether it is a slope; the largest differences may be damage of the log."""
-OTHER = 0.1  # share of a reference's range: a larger difference is told, though nothing explains it
+OTHER = 0.1  # share of a reference's range: a larger difference is reported, though nothing explains it
 RATE_REMEDY = (
     "its column may be another signal's. If the reference is a record whose time stamps jitter, its slope is rough: "
     "give it the log's rate, by rate_column and rate_file"
@@ -45,12 +45,12 @@ class ComparedReferences(NamedTuple):
 
 
 def median_values(study: Study) -> dict[str, float]:
-    """The median of every law of the study."""
+    """The median of every law of the study, by name of the number."""
     return {name: float(law.median) for name, law in study.laws.items()}
 
 
 def references_at(study: Study, times: np.ndarray) -> np.ndarray:
-    """The study's reference of each channel with two derivatives, shape (channels, 3, times); medians of laws.
+    """The study's references with two derivatives, at the medians of the laws, shape (channels, 3, times).
 
     Args:
         study: The study.
@@ -63,7 +63,7 @@ def references_at(study: Study, times: np.ndarray) -> np.ndarray:
 
 
 def study_references(study: Study, samples: int) -> np.ndarray:
-    """The study's references, with two derivatives, at its samples, shape (channels, 3, samples)."""
+    """The study's references, with two derivatives, at the first samples of the study, shape (channels, 3, samples)."""
     return references_at(study, study.loop.sample_time * np.arange(samples))
 
 
@@ -81,7 +81,7 @@ def compared_references(
         study: The study, without a sweep.
         log: The flight.
         signals: The logged signals of each channel at the study's samples, NaN where missing.
-        references: The study's, shape (channels, 3, samples).
+        references: The study's references with two derivatives, shape (channels, 3, samples).
     """
     loop = study.loop
     comparison = ComparedReferences({}, {})
@@ -133,12 +133,12 @@ def compared_references(
 
 
 def slope_hint(rate: np.ndarray, slope: np.ndarray, unit: str) -> Hint | None:
-    """That a logged derivative is not the slope of the study's reference; None where it is, but for rare samples.
+    """The hint that a logged derivative is not the slope of the study's reference; None if it is at most samples.
 
     Args:
-        rate: The derivative at each sample.
-        slope: The slope at the same times.
-        unit: Their unit.
+        rate: The logged derivative, shape (n,).
+        slope: The slope of the study's reference at the same times, shape (n,).
+        unit: Unit of both.
     """
     factor = multiple_of(rate, slope)
     if factor != 1.0:
@@ -161,7 +161,12 @@ def slope_hint(rate: np.ndarray, slope: np.ndarray, unit: str) -> Hint | None:
 
 
 def shifted_text(log: FlightLog, shift: float) -> str:
-    """That a logged reference is later than the study's by a time [s], or earlier, with both remedies."""
+    """The words that a logged reference is later than the study's by a time [s], or earlier, with both remedies.
+
+    Args:
+        log: The flight.
+        shift: How much later the logged reference is [s]; negative: earlier.
+    """
     start = log.start + shift
     remedy = f"set start to {start:g} s"
     if start < first_time(log.columns):
@@ -174,9 +179,9 @@ def shifted_text(log: FlightLog, shift: float) -> str:
 
 
 def log_stretch(study: Study, log: FlightLog, samples: int) -> float | None:
-    """The factor by which the times of all logged references are the study's; None if there is none.
+    """The factor of the study's times with which all logged references agree; None if there is none, or it is 1.
 
-    Angles are left out, which a log may give in one turn.
+    Angles are left out, because a log may have them wrapped to one turn.
     """
     loop = study.loop
     fine = fine_times(loop.sample_time, samples)
@@ -193,12 +198,13 @@ def log_stretch(study: Study, log: FlightLog, samples: int) -> float | None:
 
 
 def other_reference_text(logged: np.ndarray, reference: np.ndarray, largest_range: float, unit: str) -> str:
-    """That a logged reference is another one, with the size of the difference; empty if the difference is small.
+    """The words that a logged reference is another one, with the size of the difference; empty if this is small.
 
     Args:
         logged: Values, NaN where missing, in the output's unit, shape (samples,).
-        reference: The study's at the same times.
-        largest_range: Largest range of the study's references in this unit: one that rests may differ by a part of it.
+        reference: The study's reference at the same times.
+        largest_range: Largest range of the study's references in this unit, which sets the tolerance for a reference
+            that rests.
         unit: Unit of the output.
     """
     differences = logged - reference
@@ -221,12 +227,17 @@ def other_reference_text(logged: np.ndarray, reference: np.ndarray, largest_rang
 
 
 def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:
-    """The largest distance of a logged reference from the study's; 0 if it has no value."""
+    """The largest distance of a logged reference from the study's; 0 if no value is logged.
+
+    Args:
+        logged: The logged reference, NaN where missing, shape (n,).
+        reference: The study's reference at the same times, shape (n,).
+    """
     return float(np.nanmax(np.abs(logged - reference), initial=0.0))
 
 
 def logged_rates(study: Study, log: FlightLog) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """The logged rate of each channel's reference, and that of the study's, at the times of the log.
+    """The logged rate of each channel's reference, and the study's rate at the same times, by channel.
 
     Channels whose rate is not logged within the study's duration are left out.
     """

@@ -1,7 +1,7 @@
 """Rows of a log that a logger has written again: the row before with a later time, or a block of earlier rows.
 
-Only rows with a noisy output count, whose values do not come back by chance: all signals of a row have to be those of
-the other one.
+All signals of a row have to agree with those of the other row. Only rows with a noisy output count, because such values
+do not come back by chance.
 """
 
 from collections.abc import Mapping
@@ -23,11 +23,11 @@ TURNING = 0.1  # share of its changes with another sign than the one before: few
 CHANCE = 5e-3  # probability of as many equal rows by rounding
 MOST_DECIMALS = 16
 SAME_STEP = 0.02  # of a step: closer, a value is a multiple of it
-NAMED = 3  # rows whose times are told
+NAMED = 3  # rows whose times are reported
 
 
 def common_rows(columns: Mapping[str, Column]) -> tuple[np.ndarray, np.ndarray] | None:
-    """The times of a table's rows, shape (n,), and their values, shape (n, signals), y first; None: it has no rows.
+    """The times of a table's rows, shape (n,), and their values, shape (n, signals), y first; None: there is no y.
 
     Args:
         columns: The logged signals; those that have other times than y are left out.
@@ -42,7 +42,7 @@ def common_rows(columns: Mapping[str, Column]) -> tuple[np.ndarray, np.ndarray] 
 
 
 def repeated_rows_hint(columns: Mapping[str, Column]) -> Hint | None:
-    """Which rows a log repeats while its clock goes on; None if none certainly are.
+    """The hint about rows that a log repeats while its clock goes on; None if it certainly repeats none.
 
     Args:
         columns: The logged signals.
@@ -77,7 +77,7 @@ def repeated_rows_hint(columns: Mapping[str, Column]) -> Hint | None:
 
 
 def doubled_rows(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Which rows repeat all values of the row before at a later time, while y changes as usual around, shape (n,).
+    """Whether each row repeats all values of the row before at a later time, while y changes around it, shape (n,).
 
     Args:
         time: Times of the rows [s], shape (n,).
@@ -92,10 +92,10 @@ def doubled_rows(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def equal_by_chance(values: np.ndarray) -> float:
-    """The number of rows that rounding alone makes equal to the row before, at most: of the finest signal.
+    """The number of rows that rounding alone may make equal to the row before, by the signal with the finest digits.
 
-    A change by normal noise is within half a digit of 0 with a probability of 0.27 digits over its median size; half
-    is taken.
+    A change by normal noise is within half a digit of 0 with a probability of 0.27 times the digit over the median size
+    of the change. The larger factor 0.5 is taken.
 
     Args:
         values: Values of all signals, shape (n, signals).
@@ -108,7 +108,7 @@ def equal_by_chance(values: np.ndarray) -> float:
 
 
 def resolution(values: np.ndarray) -> float:
-    """The last decimal digit of values, or the step of which all are multiples, if larger; 0: they have all digits."""
+    """The last decimal digit of values, or the step of which all are multiples, if larger; 0 if no digits are lost."""
     digit = 0.0
     for decimals in range(MOST_DECIMALS):
         with np.errstate(over="ignore", invalid="ignore"):  # digits of huge values overflow, and are none
@@ -125,12 +125,12 @@ def resolution(values: np.ndarray) -> float:
 
 
 class CopiedBlock(NamedTuple):
-    """A block of rows that stands again later.
+    """A block of rows that a table has twice.
 
     Args:
-        source: Its first row.
-        copy: The first row of its copy.
-        length: Number of its rows.
+        source: Index of the first row of the block.
+        copy: Index of the first row of the later copy.
+        length: Number of rows of the block.
     """
 
     source: int
@@ -139,7 +139,7 @@ class CopiedBlock(NamedTuple):
 
 
 def copied_block(values: np.ndarray) -> CopiedBlock | None:
-    """The longest block with a noisy y that stands again later; None: none does, or a third of the rows are repeated.
+    """The longest block with a noisy y that is copied to later rows; None if none is, or too many rows are repeated.
 
     Args:
         values: Values of all signals, shape (n, signals).

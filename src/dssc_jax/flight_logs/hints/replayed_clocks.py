@@ -1,8 +1,8 @@
-"""The clock of a log without a reference, by the analysed controller: it answered the study's reference at other times.
+"""A wrong clock of a log without a reference: the flown controller answered the study's reference at other times.
 
-Measurements and commands of a log whose clock runs too fast or too slow agree with each other. The reference does not,
-and where the log lacks it, the controller shows it: with the study's reference at the times of the other clock it gives
-the logged command.
+Measurements and commands of a log agree with each other even if its clock runs too fast or too slow. The study's
+reference does not agree with them. If the log lacks the reference, the analysed controller shows the clock: with the
+study's reference at the times of that clock it gives the logged command.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from dssc_jax.flight_logs.signal_warnings import Hint
 
 EXPLAINED = 0.1  # share of what the command varies that may be left
 FEWER = 0.2  # share of the difference of the commands that may be left
-LEAST_STRETCH = 0.003  # of the times: less is not told
+LEAST_STRETCH = 0.003  # least difference of a stretch of the times from 1 that is reported
 POINTS = 81  # stretches that are tried first
 
 

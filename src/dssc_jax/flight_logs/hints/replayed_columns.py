@@ -1,7 +1,7 @@
-"""Columns that seem to be wrong, as the analysed controller tells: with others it gives the logged command.
+"""Columns that seem to be wrong, because the analysed controller gives the logged command with other columns only.
 
-Each hypothesis is the same log with exchanged columns, or with the output in place of an error. It is told where the
-controller's command then is the logged one, and is not with the columns that were given.
+Each hypothesis is the same log with exchanged columns, or with the output in place of an error. A hint names it if the
+controller then gives the logged command, and does not with the given columns.
 """
 
 import itertools
@@ -36,8 +36,8 @@ class OtherColumns(NamedTuple):
 
     Args:
         signal: A signal whose column is wrong, without the channel.
-        text: What is wrong with it, in words that follow its name.
-        signals: All signals as they would be, each of shape (samples,).
+        text: What is wrong with that signal, in words that follow its name.
+        signals: All signals of the channel by the hypothesis, each of shape (samples,).
     """
 
     signal: str
@@ -46,7 +46,7 @@ class OtherColumns(NamedTuple):
 
 
 def column_hints(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray | str) -> dict[str, Hint]:
-    """The hint about a channel's columns, by signal; empty if the analysed controller knows no better ones.
+    """The hint about a channel's wrong columns, by signal; empty if no others explain the command far better.
 
     Args:
         replay: The channel's controller.
@@ -87,14 +87,17 @@ def best_columns(
 ) -> tuple[OtherColumns | None, float]:
     """The columns with which the controller best gives the logged command, and the share by :func:`command_share`.
 
-    With u = y_ref - y the output and the command may be exchanged, and the difference of the commands stays. It is a
-    smaller share of what varies more, but no reason to exchange them.
+    The share alone does not decide. With u = y_ref - y, for example, an exchange of output and command leaves the
+    difference of the commands as it is. The share falls if the new command varies more, but that proves nothing.
 
     Args:
         replay: The channel's controller.
         candidates: The columns to try.
-        largest_share: Share below which columns count; None is returned if there are none.
+        largest_share: Share below which columns count.
         largest_difference: Difference of the commands by :func:`command_difference` below which columns count.
+
+    Returns:
+        None in place of the columns, and ``largest_share``, if no columns count.
     """
     best = None
     least_share = largest_share
@@ -125,7 +128,12 @@ def opposite_signs(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> I
 
 
 def reference_of(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The logged reference, or that of the study if the log has none, shape (samples,)."""
+    """The logged reference, or that of the study if the log has none, shape (samples,).
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals by name, NaN where missing.
+    """
     return logged.get("y_ref", replay.reference[0])
 
 
@@ -136,16 +144,16 @@ def another_output(
     error_share: float,
     reference_share: float,
 ) -> Hint:
-    """That an output is not what the controller got, where its reference in its place gives the command as well.
+    """The hint that an output is not what the controller got, if its reference in its place gives the command as well.
 
-    It may hold the error, or be any small signal, such as the output of another channel.
+    The column of the output may hold the error, or any small signal, such as the output of another channel.
 
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, each of shape (samples,).
-        as_error: The hypothesis that it holds the error.
-        error_share: The share by :func:`command_share` with that.
-        reference_share: The share with the reference in place of the output.
+        as_error: The hypothesis that the column holds the error.
+        error_share: The share by :func:`command_share` with that hypothesis.
+        reference_share: The share by :func:`command_share` with the reference in place of the output.
     """
     channel = replay.study.loop.channels[replay.index]
     u = signal_name(channel, "u_total")
@@ -162,7 +170,7 @@ def another_output(
 
 
 def moves_by_rate(logged: Mapping[str, np.ndarray], sample_time: float) -> bool:
-    """Whether a logged output resembles the integral of its derivative, with a factor that may be 1.
+    """Whether a logged output resembles the integral of its derivative, and their factor may be 1.
 
     Args:
         logged: The channel's signals, NaN where missing, with y and y_dot, each of shape (samples,).
@@ -176,7 +184,12 @@ def moves_by_rate(logged: Mapping[str, np.ndarray], sample_time: float) -> bool:
 
 
 def command_difference(logged: np.ndarray, command: np.ndarray) -> float:
-    """The difference of two commands, but for a constant, as a root mean square; infinite with too few values."""
+    """Root mean square of the difference of two commands less its median; infinite with too few values.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        command: The command of the analysed controller, shape (samples,).
+    """
     difference = logged - command
     is_finite = np.isfinite(difference)
     if np.count_nonzero(is_finite) < LEAST_VALUES:
@@ -185,9 +198,13 @@ def command_difference(logged: np.ndarray, command: np.ndarray) -> float:
 
 
 def command_share(logged: np.ndarray, command: np.ndarray) -> float:
-    """The difference by :func:`command_difference` over the deviation of the logged command, a root mean square.
+    """The difference by :func:`command_difference` over the root mean square deviation of the logged command.
 
-    Infinite with too few values, or where the logged one rests.
+    The share is infinite with too few values, or if the logged command rests.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        command: The command of the analysed controller, shape (samples,).
     """
     is_finite = np.isfinite(logged - command)
     if not is_finite.any():
@@ -199,7 +216,7 @@ def command_share(logged: np.ndarray, command: np.ndarray) -> float:
 
 
 def errors_as_outputs(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> Iterator[OtherColumns]:
-    """The hypotheses that the column of y holds the error, by the logged reference, or by that of the study."""
+    """The hypotheses that the column of y holds the error, of either sign, from the logged or the study's reference."""
     if "y" not in logged:
         return
     channel = replay.study.loop.channels[replay.index]

@@ -1,4 +1,4 @@
-"""What a comparison or a fit says of a log's estimator: its resets, and the spans in which it was invalid."""
+"""The hints of a comparison or a fit about a log's estimator: its resets, and the spans in which it was invalid."""
 
 import numpy as np
 
@@ -8,24 +8,29 @@ from dssc_jax.flight_logs.reading.resets import Reset, reset_list
 from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
-TRIFLE = 1e-3  # m, m/s or rad: a smaller jump that the log states is not told
+TRIFLE = 1e-3  # m, m/s or rad: a smaller jump that the log states is not reported
 LARGE_SPEED = 0.1  # m/s: a larger jump of a velocity moves the vehicle, as its loops follow the estimate
 
 
 def study_end(study: Study, log: FlightLog) -> float:
-    """The time of the log at which the study ends, or the log [s]."""
+    """The time of the log at which the study ends, or at which the log ends if that is earlier [s]."""
     return min(log.start + study.loop.sample_time * (study.loop.steps - 1), log.end)
 
 
 def relevant_resets(study: Study, log: FlightLog) -> list[Reset]:
-    """The resets within the study whose jump is not negligible, or not stated."""
+    """The resets within the study whose jump is not negligible, or is not stated by the log.
+
+    Args:
+        study: The study.
+        log: The flight.
+    """
     end = study_end(study, log)
     resets = [reset for reset in log.resets if log.start < reset.time <= end]
     return [reset for reset in resets if reset.size > TRIFLE or not reset.is_stated]
 
 
 def reset_hints(study: Study, log: FlightLog) -> dict[str, Hint]:
-    """The resets within the study by counter, and the invalid spans by flag, with the words for them."""
+    """Hints about the resets within the study, by counter, and about spans with invalid estimates, by flag."""
     resets_by_counter: dict[str, list[Reset]] = {}
     for reset in relevant_resets(study, log):
         resets_by_counter.setdefault(reset.label, []).append(reset)
@@ -49,7 +54,11 @@ def reset_hints(study: Study, log: FlightLog) -> dict[str, Hint]:
 
 
 def require_no_jumps(study: Study, log: FlightLog) -> None:
-    """Require that no jump of the estimator is in the signals of a fit; raises ConfigError with the remedy."""
+    """Require that no jump of the estimator is left in the signals of a fit.
+
+    Raises:
+        ConfigError: A jump is left. The message has the parts of the log that can be fitted.
+    """
     remaining_resets = []
     for reset in relevant_resets(study, log):
         if not reset.is_removed and not (reset.is_stated and reset.size < LARGE_SPEED):

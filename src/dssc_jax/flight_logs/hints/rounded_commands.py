@@ -21,8 +21,8 @@ class Rounding(NamedTuple):
     """How a logged command is rounded.
 
     Args:
-        step: The distance of two neighbouring values.
-        is_analysed: Whether it is the analysed controller's command that is rounded.
+        step: The distance of two neighbouring values [u].
+        is_analysed: Whether the logged command is the analysed controller's, rounded.
     """
 
     step: float
@@ -55,23 +55,31 @@ def command_rounding(logged: np.ndarray, replayed: np.ndarray) -> Rounding | Non
 
 
 def rounding_step(levels: np.ndarray) -> float:
-    """The usual distance of neighbouring values, but for limits at the ends; 0 with hardly any value.
+    """The median distance of neighbouring values; 0 with hardly any value.
+
+    The end values are left out, because they may be limits.
 
     Args:
-        levels: The values that occur, in order.
+        levels: The distinct values that occur, in ascending order.
     """
     distances = np.diff(levels[1:-1])
     return float(np.median(distances)) if distances.size else 0.0
 
 
 def multiple_share(values: np.ndarray, step: float, origin: float) -> float:
-    """The share of values that are multiples of a step from an origin on."""
+    """The share of values that lie a multiple of a step away from an origin.
+
+    Args:
+        values: The values, shape (n,).
+        step: The step.
+        origin: A value that is a multiple, from which the others count.
+    """
     places = (values - origin) / step
     return float(np.mean(np.abs(places - np.round(places)) < NEAR))
 
 
 def rounded_hint(rounding: Rounding, unit: str) -> Hint:
-    """What a coarse rounding of a command means, with the remedy.
+    """The hint about a coarse rounding of a command, with the remedy.
 
     Args:
         rounding: The rounding.

@@ -1,6 +1,6 @@
 """A logged output that is rounded coarsely: its noise is smaller than the step.
 
-What rounding leaves is no white noise, and its steps look like outliers and jumps.
+The error of such rounding is no white noise, and its steps look like outliers and jumps.
 """
 
 import numpy as np
@@ -25,11 +25,11 @@ AT_MOST = 1.5  # steps: a larger change is more than rounding
 
 
 def output_rounding(values: np.ndarray, coarse: float = COARSE) -> float:
-    """The step to which readings of an output are rounded, if their noise is smaller than it; else 0.
+    """The step to which readings of an output are rounded, if their noise is smaller than the step; else 0.
 
     Args:
         values: The readings, NaN where missing, in the output's unit, shape (n,).
-        coarse: Share of the deviation of the readings: a finer rounding counts as none.
+        coarse: Least step that counts, as a share of the deviation of the readings.
     """
     readings = values[np.isfinite(values)]
     if len(readings) < LEAST_VALUES:
@@ -46,7 +46,12 @@ def output_rounding(values: np.ndarray, coarse: float = COARSE) -> float:
 
 
 def declared_resolution(study: Study, index: int) -> float:
-    """The step to which the sensor of a channel rounds y in the study, at the median of its law; 0: it rounds none."""
+    """The step to which the study's sensor of a channel rounds y, at the medians of the laws; 0: it does not round.
+
+    Args:
+        study: The study.
+        index: Position of the channel.
+    """
     sensor = study.loop.sensor[index]
     if sensor.resolution is None:
         return 0.0
@@ -55,7 +60,7 @@ def declared_resolution(study: Study, index: int) -> float:
 
 
 def rounded_output_hint(study: Study, index: int, values: np.ndarray, coarse: float = COARSE) -> Hint | None:
-    """That an output is rounded by more than the study's sensor does, with the remedy; None if it is not.
+    """The hint that an output is rounded more coarsely than by the study's sensor, with the remedy; None if it is not.
 
     Args:
         study: The study.

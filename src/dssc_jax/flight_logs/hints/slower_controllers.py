@@ -1,8 +1,8 @@
-"""Controllers that computed at every N-th sample of the study only, and held their command between.
+"""Controllers that computed only at every N-th sample of the study, and held their command in between.
 
-N is told by the samples at which the logged command changes. The analysed controller, replayed at these samples alone,
-then gives the logged command. Its integrals and derivatives take the time between them, or that of the study: a
-controller whose clock is slower than it believes.
+The samples at which the logged command changes give N. Replayed at these samples alone, the analysed controller gives
+the logged command. It integrates and differentiates either with the time between these samples, or with the sample time
+of the study, if it believed its clock to be faster than it was.
 """
 
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ class CommandClock(NamedTuple):
 
 
 def command_clock(logged: np.ndarray) -> CommandClock | None:
-    """The samples at which a logged command changes; None if these are not every N-th with an N above 1.
+    """The samples at which a logged command changes; None if they are not every N-th sample for an N above 1.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
@@ -56,13 +56,15 @@ def command_clock(logged: np.ndarray) -> CommandClock | None:
 def slower_command(
     replay: ChannelReplay, logged: Mapping[str, np.ndarray], clock: CommandClock, sample_time: float
 ) -> np.ndarray | None:
-    """The command of the analysed controller that computes at every N-th sample, held between; None if it gives none.
+    """The command of the analysed controller if it computes only at every N-th sample; None if it gives none.
+
+    Between these samples, the command is held.
 
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, each of shape (samples,).
-        clock: The samples at which it computes.
-        sample_time: The time for which it integrates and differentiates [s].
+        clock: The samples at which the controller computes.
+        sample_time: The time between two computations that it believes, for integrals and derivatives [s].
     """
     rows = slice(clock.first, None, clock.stride)
     slower = ChannelReplay(replay.study, replay.index, replay.reference[:, rows], sample_time)
@@ -79,12 +81,12 @@ def slower_command(
 
 
 def slower_controller(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray) -> Hint | None:
-    """That the flight's controller computed at every N-th sample only; None if that is not certain.
+    """The hint that the flight's controller computed at every N-th sample only; None if that is not certain.
 
     Args:
         replay: The channel's controller.
         logged: The channel's signals, NaN where missing, with u_total, each of shape (samples,).
-        command: The controller's command for them at every sample, shape (samples,).
+        command: The command of the analysed controller that computes at every sample, shape (samples,).
     """
     u = logged["u_total"]
     share = command_share(u, command)

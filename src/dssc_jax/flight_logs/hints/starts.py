@@ -1,7 +1,7 @@
-"""Integrals of software on board, such as an inner loop's, where a logged flight begins in the air.
+"""Integrals of software on board, such as an inner loop's, in a logged flight that begins in the air.
 
-By then they compensate errors of the believed mass, the wind and the drag. A study whose integrals
-start at 0 then sees a fall or a drift that the flight did not have, and another mass explains it.
+In such a flight, the integrals compensate errors of the believed mass, the wind and the drag already. A study whose
+integrals start at 0 falls or drifts at first, which the flight did not, and a fit explains that by another mass.
 """
 
 import math
@@ -21,7 +21,7 @@ START = ("plant.initial.0", "plant.initial.1")
 
 
 def fixed_start(study: Study) -> tuple[float, float] | None:
-    """The output and its derivative at which a plant of one channel starts; None if they are no plain numbers."""
+    """The output and its derivative with which a plant of one channel starts; None if the study lacks such numbers."""
     values = []
     for name in START:
         number = study.numbers.get(name)
@@ -33,7 +33,7 @@ def fixed_start(study: Study) -> tuple[float, float] | None:
 
 
 def fixed_integrals(study: Study) -> dict[str, float]:
-    """The numbers at which integrals of software on board start, by name; without those that have a law."""
+    """The first values of the integrals of software on board, by name, without integrals that have a law."""
     software = study.loop.mimo_plant.software
     names = () if software is None else software.integrals(study.template.plant)
     initial_values = {}
@@ -64,11 +64,11 @@ def begins_level(study: Study) -> bool:
 
 
 def start_remedy(study: Study, name: str) -> str:
-    """What to do about integrals that start elsewhere.
+    """The remedy, in words, for integrals that start at other values than in the study.
 
     Args:
         study: The study, whose plant has software on board.
-        name: Name of one of them, such as ``plant.inner_loop.velocity_integral.2``.
+        name: Name of one of the integrals, such as ``plant.inner_loop.velocity_integral.2``.
     """
     section, field, _ = name.rsplit(".", 2)
     laws = f"{field} = [0.0, 0.0, {{ normal = [0.0, 1.0] }}] in [{section}]"
@@ -91,7 +91,7 @@ def is_settled(study: Study) -> bool:
 
 
 def start_hints(study: Study, log: FlightLog) -> dict[str, Hint]:
-    """Hints that the study's integrals start at 0 while the log begins in the air, by the integrals' name."""
+    """The hint that the study's integrals start at 0 while the log begins in the air, by the name of the integrals."""
     initial_values = fixed_integrals(study)
     if not initial_values or is_settled(study) or any(initial_values.values()):
         return {}

@@ -1,4 +1,4 @@
-"""Where the times of a log fall or jump, and its rows in order if the fewest are left out."""
+"""Where the times of a log fall or jump, and the rows whose times do not fall, if as few as possible are left out."""
 
 import bisect
 from collections.abc import Iterable, Sequence
@@ -16,7 +16,7 @@ LONG_GAP = 10.0
 """Multiple of a topic's usual interval: a longer time without a message is told."""
 LEAST_MESSAGES = 20  # of a topic whose interval is usual
 STEADY = 0.5  # least share of the time outside of the longest gap that messages at the usual interval fill
-LATE = 10.0  # s
+LATE = 10.0  # s, see LATE_SHARE
 LATE_SHARE = 0.1
 """Share of a log's length. A topic's last message is stray if it is later than the log's end by more than both."""
 MOST_TOGETHER = 4  # rows in a row that may be left out
@@ -28,10 +28,10 @@ class ClockStep(NamedTuple):
     """A fall of time stamps, or a time without a message, in some topics.
 
     Args:
-        stamps: Before and after it, of the first topic [s].
-        topics: The topics.
-        falls: The largest number of falls in one of them.
-        rate: Messages a second that the first topic usually has.
+        stamps: Stamps before and after the step, of the first topic [s].
+        topics: Names of the topics.
+        falls: The largest number of falls in one of the topics.
+        rate: Usual rate of messages of the first topic [1/s].
     """
 
     stamps: Stamps
@@ -46,7 +46,7 @@ def falls_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
 
 
 def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
-    """The longest time without a message of each topic, if unusual; those of several topics together are one step."""
+    """The longest time without a message of each topic, if unusual; topics with the same gap are one step."""
     unusual = []
     for topic in topics:
         length = topic.gap.late - topic.gap.early
@@ -56,7 +56,7 @@ def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
 
 
 def is_steady(topic: LogTopic) -> bool:
-    """Whether a topic is sent at a rate. One sent at changes or in bursts is not, and none of its gaps is unusual."""
+    """Whether a topic is sent at a steady rate. A topic sent at changes or in bursts is not, and has no unusual gap."""
     time_outside_gap = topic.last - topic.first - (topic.gap.late - topic.gap.early)
     return topic.messages >= LEAST_MESSAGES and topic.messages >= STEADY * time_outside_gap * topic.usual_rate
 
@@ -118,7 +118,7 @@ def column_clock(name: str, time: np.ndarray) -> LogTopic:
 
 
 def repeated_times_text(time: np.ndarray) -> str:
-    """A sentence that says how many rows of a column share their time with the row before; empty if few do.
+    """A sentence about how many rows of a column share their time with the row before; empty if few do.
 
     Args:
         time: Finite times that do not fall [s], shape (n,).
@@ -135,7 +135,7 @@ def repeated_times_text(time: np.ndarray) -> str:
 
 
 def row_numbers_text(time: np.ndarray) -> str:
-    """A sentence that asks whether times are the numbers of rows; empty if they do not count by one.
+    """A sentence that asks whether times are the numbers of rows; empty if the times do not rise by one each.
 
     Args:
         time: Finite times that do not fall [s], shape (n,).
@@ -177,7 +177,7 @@ def rising_rows(time: np.ndarray) -> np.ndarray:
         [0, 1, 3, 4]
     """
     last_times: list[float] = []  # last time of a subsequence of each length
-    last_rows: list[int] = []  # its row
+    last_rows: list[int] = []  # the row of that time
     predecessor = np.full(len(time), -1)
     for row, value in enumerate(time.tolist()):
         length = bisect.bisect_right(last_times, value)
@@ -198,12 +198,12 @@ def rising_rows(time: np.ndarray) -> np.ndarray:
 
 
 def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, may_drop: bool) -> np.ndarray:
-    """The positions whose times do not fall; all of them if no time falls.
+    """The positions to keep, so that times do not fall: as many as possible, and all if no time falls.
 
     Args:
         name: The signal, for messages.
-        time: Its finite times [s], shape (n,).
-        rows: The row of the log that each of them stands in, counted from 0.
+        time: Finite times of the signal [s], shape (n,).
+        rows: The row of the log for each of these times, counted from 0, shape (n,).
         may_drop: Whether rows may be left out.
 
     Raises:

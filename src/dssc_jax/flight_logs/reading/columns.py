@@ -37,14 +37,14 @@ class ColumnMap(NamedTuple):
 
 
 def column_map(table: Mapping[str, object], signal_names: Sequence[str]) -> ColumnMap:
-    """Check a table of columns, see :func:`dssc_jax.read_log`.
+    """Check a table of columns and parse it; :func:`dssc_jax.read_log` describes its entries.
 
     Args:
         table: The table.
-        signal_names: The signals that it may map.
+        signal_names: The signals that the table may map.
 
     Raises:
-        ConfigError: an entry is unknown or of another type.
+        ConfigError: An entry is unknown or of another type.
     """
     for name in table:
         if name not in ENTRIES:
@@ -69,7 +69,7 @@ def column_map(table: Mapping[str, object], signal_names: Sequence[str]) -> Colu
 
 
 def time_source(entry: object) -> TimeSource:
-    """Parse the entry ``time``: the name of a column, or a table of ``column`` and ``scale``, its unit in seconds.
+    """Parse the entry ``time``: the name of a column, or a table of ``column`` and ``scale``, the column's unit in s.
 
     Raises:
         ConfigError: The entry is neither, or the scale is not finite and above 0.
@@ -88,6 +88,10 @@ def time_source(entry: object) -> TimeSource:
 
 def signal_source(name: str, entry: object) -> SignalSource:
     """Parse the entry of a signal: the name of a column, or a table of ``column``, ``scale`` and ``offset``.
+
+    Args:
+        name: Name of the signal.
+        entry: The entry.
 
     Raises:
         ConfigError: The entry is neither, or a number is not finite, or the scale is 0.
@@ -119,7 +123,7 @@ class ColumnPlace(NamedTuple):
 
 
 def column_place(column: str) -> ColumnPlace:
-    """Topic and field of a column."""
+    """Parse the name of a column of a ULog into topic, topic with instance, and field."""
     label, _, field = column.partition(".")
     topic, key = topic_place(label)
     return ColumnPlace(topic, key, field)

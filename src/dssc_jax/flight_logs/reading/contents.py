@@ -50,8 +50,8 @@ class FieldValues(NamedTuple):
 
     Args:
         name: The column's name, as a table of columns takes it.
-        derived: Whether it is in the model's axes, and not a field of the log itself.
-        finite: Number of its finite values.
+        derived: Whether the field is computed in the model's axes, and not a field of the log itself.
+        finite: Number of finite values.
         lowest: Minimum of the finite values; NaN if there are none.
         median: Median of the finite values.
         highest: Maximum of the finite values.
@@ -70,21 +70,23 @@ class LogContents:
     """What a log holds.
 
     Attributes:
-        name: Its file.
-        system: What it says of its system.
-        duration: Its span [s].
-        topics: Its topics; none of a table.
+        name: Name of the log's file.
+        system: What a ULog tells of the system that wrote it, by PX4's names.
+        duration: Time from the beginning to the end of the log [s].
+        topics: Topics of a ULog; none of a table.
         segments: When the vehicle was armed and airborne.
         dropouts: Number of gaps in writing, and their sum [s].
-        damaged: Position of the first byte that is no message.
+        damaged: Position of the first byte that is no message; None: there is none.
+        damages: Number of places with bytes that are no message.
+        lost: Number of bytes that are no message.
         cut: Whether the file ends within a message, as where the power failed while it was written.
         fields: Fields of the chosen topics, or the columns of a table.
         resets: Resets of the estimator, of position, velocity and attitude.
         invalid: When the estimator called position or velocity invalid.
-        late: Last messages of topics long after the span.
-        clock: The times of a table.
+        late: Last messages of topics long after the end of the log.
+        clock: The times of a table; None: it has none, or the log is a ULog.
         text_columns: Columns of a table that hold text, in some cells at least.
-        text_cells: The first such cell of each of them, in words; without columns whose texts are all numbers.
+        text_cells: The first cell with text of each such column, in words; without columns whose texts are all numbers.
     """
 
     name: str
@@ -107,7 +109,7 @@ class LogContents:
 
     @property
     def lacks_times(self) -> bool:
-        """Whether it is a table that has columns, but none of times in numbers."""
+        """Whether the log is a table that has columns, but none with times in numbers."""
         return self.clock is None and not self.topics and bool(self.fields or self.text_columns)
 
     @property
@@ -117,7 +119,7 @@ class LogContents:
 
     @property
     def falls(self) -> list[ClockStep]:
-        """Where time stamps fall."""
+        """Where time stamps fall from one message or row to the next."""
         return falls_of(self.clocks)
 
     @property
@@ -126,7 +128,7 @@ class LogContents:
         return gaps_of(self.clocks)
 
     def summary(self) -> dict[str, object]:
-        """The contents as plain data."""
+        """The contents as plain data for JSON."""
         topics = [topic._asdict() | {"rate": topic.rate} for topic in self.topics]
         segments = [segment._asdict() for segment in self.segments]
         fields = [field._asdict() for field in self.fields]
@@ -187,7 +189,13 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
 
 
 def topic_fields(name: str, data: TopicData, begin: float) -> Iterable[FieldValues]:
-    """The fields of a topic, those in the model's axes first."""
+    """The fields of a topic, those in the model's axes first; none if the log lacks the topic.
+
+    Args:
+        name: ``topic`` or ``topic:1``.
+        data: Topics of the log.
+        begin: The time at which the log begins [us].
+    """
     topic, key = topic_place(name)
     signals = data.get(key, {})
     if not signals:
@@ -203,7 +211,13 @@ def topic_fields(name: str, data: TopicData, begin: float) -> Iterable[FieldValu
 
 
 def field_summary(name: str, values: np.ndarray | None, derived: bool) -> FieldValues:
-    """The number, range and median of a field's finite values."""
+    """The number, range and median of a field's finite values.
+
+    Args:
+        name: Name of the field.
+        values: Values of the field; None: the log lacks it.
+        derived: Whether the field is in the model's axes.
+    """
     finite = np.empty(0) if values is None else values[np.isfinite(values)]
     if not finite.size:
         return FieldValues(name=name, derived=derived, finite=0, lowest=np.nan, median=np.nan, highest=np.nan)
@@ -212,9 +226,9 @@ def field_summary(name: str, values: np.ndarray | None, derived: bool) -> FieldV
 
 
 def table_contents(path: Path) -> LogContents:
-    """The columns of a CSV or Parquet file that hold numbers; the span, falls and gaps of its times.
+    """The columns of a CSV or Parquet file that hold numbers, and the span, falls and gaps of the file's times.
 
-    Its times are in the column t, or in the first one whose name begins with another word for them.
+    The times are in the column t, or else in the first one whose name begins with one of :data:`TIME_NAMES`.
     """
     whole_frame = recorded_frame(path)
     frame = whole_frame.select_dtypes("number")
@@ -254,9 +268,9 @@ def topic_table(
 ) -> dict[str, np.ndarray]:
     """A topic as columns of equal length: its times ``t`` [s], and its fields, those in the model's axes first.
 
-    Messages without a stamp, or from before the start, are left out. The last one before the start is kept, at a
-    negative time, so that the record has a value at 0. Jumps of the estimator after the start are taken out, and values
-    that it calls invalid are NaN, as a comparison reads them.
+    Messages without a stamp, or from before the start, are left out, except for the last message before the start. It
+    is kept at a negative time, so that the record has a value at 0. As in a comparison, jumps of the estimator after
+    the start are taken out, and values that the estimator calls invalid are NaN.
 
     Args:
         path: A ULog of PX4.
@@ -302,7 +316,18 @@ def topic_table(
 
 
 def valid_signals(path: Path, topic: str, data: TopicData, begin: float, part: Segment) -> dict[str, np.ndarray]:
-    """The fields of a topic in a part of the log, without the estimator's jumps and invalid values; warns of them."""
+    """The fields of a topic, without the estimator's invalid values, and without its jumps in a part of the log.
+
+    Args:
+        path: The log, for the warning.
+        topic: ``topic`` or ``topic:1``.
+        data: Topics of the log.
+        begin: The time at which the log begins [us].
+        part: The part of the log in which jumps are taken out.
+
+    Warns:
+        LogWarning: The result differs from the log.
+    """
     _, key = topic_place(topic)
     resets = [reset for reset in resets_of(data, begin) if part.begin < reset.time <= part.end]
     signals = without_jumps(without_invalid(data), resets)[key]

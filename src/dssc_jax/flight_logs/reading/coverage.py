@@ -34,9 +34,11 @@ TIME_UNITS = (
 
 
 def times_text(log: FlightLog, least_length: float = 0.0) -> str:
-    """What is wrong with a log's times that repeat, or that count rows in a log longer than a length [s].
+    """What is wrong with a log's times if they repeat or count rows, in words; empty if nothing is wrong.
 
-    It is empty where nothing is wrong.
+    Args:
+        log: The flight.
+        least_length: Length of the log [s] up to which times that count by one are not taken for numbers of rows.
     """
     columns = log.columns.values()
     repeated = next(filter(None, (repeated_times_text(column.time) for column in columns)), "")
@@ -45,7 +47,12 @@ def times_text(log: FlightLog, least_length: float = 0.0) -> str:
 
 
 def time_unit_text(log: FlightLog, sample_time: float) -> str:
-    """What is wrong with a log's times, if they repeat, count rows, or do not look like seconds; empty if they do."""
+    """What is wrong with a log's times if they repeat, count rows, or do not look like seconds; else empty.
+
+    Args:
+        log: The flight.
+        sample_time: Sample time of the study [s].
+    """
     doubt_of_times = times_text(log)
     if doubt_of_times:
         return f"; its column of times {doubt_of_times}"
@@ -64,13 +71,18 @@ def time_unit_text(log: FlightLog, sample_time: float) -> str:
 
 
 def scale_text(log: FlightLog, unit: TimeUnit) -> str:
-    """The entry of the table of columns that turns times of a unit into seconds."""
+    """The remedy, in words: the entry of the table of columns that turns times of a unit into seconds.
+
+    Args:
+        log: The flight.
+        unit: The unit of the log's times.
+    """
     scale = unit.seconds * log.clock.scale
     return f'give time = {{ column = "{log.clock.column}", scale = {scale:.4g} }} in the table of columns'
 
 
 def few_samples_remedy(has_signal: np.ndarray, sample_time: float) -> str:
-    """Why a log lacks a signal at many samples, and what helps: it is too rare, or it has gaps.
+    """Why a log lacks a signal at many samples, because it is logged too rarely or has gaps, and the remedy.
 
     Args:
         has_signal: Whether the log has the signal, at each sample, shape (samples,).
@@ -100,7 +112,7 @@ def require_samples(study: Study, log: FlightLog, has_value: np.ndarray) -> None
         has_value: Whether the log has any compared value, at each sample up to its end, shape (samples,).
 
     Raises:
-        ConfigError: it has hardly any, or its times are too large to be in seconds.
+        ConfigError: The log has hardly any value, or its times are so large that rounding blurs the samples.
     """
     loop = study.loop
     resolution = float(np.spacing(abs(log.start)))

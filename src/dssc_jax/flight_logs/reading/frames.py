@@ -26,10 +26,10 @@ class DerivedField(NamedTuple):
     """A field in the model's axes.
 
     Args:
-        name: Its name in the topic.
-        unit: Its unit.
-        needs: The topic's own fields that it follows from.
-        of: Its values from theirs.
+        name: Name of the field in the topic.
+        unit: Unit of the field.
+        needs: The topic's own fields from which the field is computed.
+        of: Function from the values of the needed fields to the values of the field.
     """
 
     name: str
@@ -49,27 +49,35 @@ def negative(values: np.ndarray) -> np.ndarray:
 
 
 def yaw_of_heading(heading: np.ndarray) -> np.ndarray:
-    """psi in (-pi, pi] from the angle clockwise from north [rad]."""
+    """psi in (-pi, pi], counterclockwise from east, from PX4's heading clockwise from north, both in rad."""
     return np.arctan2(np.cos(heading), np.sin(heading))
 
 
 def roll_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """phi from PX4's quaternion FRD to NED."""
+    """phi [rad] from PX4's quaternion w, x, y, z, which rotates FRD to NED."""
     return np.arctan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
 
 
 def pitch_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """theta from PX4's quaternion FRD to NED."""
+    """theta [rad] from PX4's quaternion w, x, y, z, which rotates FRD to NED."""
     return -np.arcsin(np.clip(2.0 * (w * y - x * z), -1.0, 1.0))
 
 
 def yaw_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """psi in (-pi, pi] from PX4's quaternion FRD to NED."""
+    """psi in (-pi, pi] [rad] from PX4's quaternion w, x, y, z, which rotates FRD to NED."""
     return yaw_of_heading(np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
 
 
 def yaw_rate_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, stamp: np.ndarray) -> np.ndarray:
-    """psi' [rad/s] by differences of psi over the messages' times [us]; NaN of a single message."""
+    """psi' [rad/s] by differences of psi over the times of the messages; NaN if there is one message only.
+
+    Args:
+        w: Real part of PX4's quaternion, which rotates FRD to NED, shape (messages,), as all arguments.
+        x: First imaginary part.
+        y: Second imaginary part.
+        z: Third imaginary part.
+        stamp: Times of the messages [us].
+    """
     if len(stamp) < 2:
         return np.full(len(stamp), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -79,7 +87,13 @@ def yaw_rate_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, stam
 def local_vector_fields(
     names: tuple[str, str, str], unit: str, north_east_down: tuple[str, str, str]
 ) -> list[DerivedField]:
-    """The fields of a vector of PX4's local frame as east, north and up."""
+    """The fields of a vector of PX4's local frame as east, north and up.
+
+    Args:
+        names: Names of the east, north and up components.
+        unit: Unit of the components.
+        north_east_down: The topic's fields with the north, east and down components.
+    """
     north, east, down = north_east_down
     sources = ((east, identity), (north, identity), (down, negative))
     return [DerivedField(name, unit, (field,), of) for name, (field, of) in zip(names, sources, strict=True)]
@@ -100,7 +114,7 @@ def attitude_fields(quaternion: str) -> list[DerivedField]:
 
 
 def components(name: str) -> tuple[str, str, str]:
-    """The fields of an array of three."""
+    """The names of the three elements of a topic's array field."""
     return f"{name}[0]", f"{name}[1]", f"{name}[2]"
 
 
@@ -135,7 +149,14 @@ GROUND_TRUTH = "_groundtruth"
 
 
 def derived_fields(topic: str, columns: Fields) -> dict[str, DerivedField]:
-    """The fields in the model's axes of a topic with given fields, by name; a field of its own goes first."""
+    """The fields in the model's axes that a topic with given columns has in addition to its own, by name.
+
+    A field that the topic itself has under the same name is left out.
+
+    Args:
+        topic: Name of the topic, without instance.
+        columns: The topic's own fields.
+    """
     derived = {}
     for field in DERIVED.get(topic.removesuffix(GROUND_TRUTH), ()):
         if field.name not in columns and all(name in columns for name in field.needs):

@@ -10,7 +10,7 @@ import numpy as np
 
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 
-MISSING = 4  # messages in succession that are missing in a gap
+MISSING = 4  # least number of missing messages in succession that are a gap
 REGULAR = 2.5  # factor on the median gap: a signal has a rate if nine in ten gaps are shorter
 UNCHANGED = 1e-3  # share of a signal's range: one that rests before and after, at one value, may not have been sent
 BESIDE = 5  # messages on either side that tell whether it rests
@@ -24,9 +24,9 @@ class Gap(NamedTuple):
     """A span without messages.
 
     Args:
-        begin: Time of the last message before it, or of the study's beginning [s].
-        end: Time of the first message after it, or of the study's end [s].
-        signals: The signals that lack them.
+        begin: Time of the last message before the gap, or of the study's beginning [s].
+        end: Time of the first message after the gap, or of the study's end [s].
+        signals: Names of the signals that lack messages.
     """
 
     begin: float
@@ -35,7 +35,13 @@ class Gap(NamedTuple):
 
 
 def gaps_of(column: Column, begin: float, end: float) -> list[tuple[float, float]]:
-    """Find spans between two times [s] in which a signal with a rate lacks messages while its value changes."""
+    """Find spans between two times [s] in which a signal with a regular rate lacks messages while its value changes.
+
+    Args:
+        column: The signal.
+        begin: Time of the log from which on gaps count [s].
+        end: Time of the log up to which gaps count [s].
+    """
     is_selected = (column.time >= begin) & (column.time <= end)
     time, value = column.time[is_selected], column.value[is_selected]
     steps = np.diff(time)
@@ -58,7 +64,13 @@ def gaps_of(column: Column, begin: float, end: float) -> list[tuple[float, float
 
 
 def log_gaps(log: FlightLog, signals: Iterable[str], end: float) -> tuple[Gap, ...]:
-    """Find the gaps of signals from the study's beginning to a time of the log [s]; overlapping gaps are merged."""
+    """Find the gaps of signals from the study's beginning to a time of the log [s]; overlapping gaps are merged.
+
+    Args:
+        log: The flight.
+        signals: Names of the signals.
+        end: The time of the log up to which gaps count [s].
+    """
     gaps: list[Gap] = []
     spans = ((span, name) for name in signals for span in gaps_of(log.columns[name], log.start, end))
     for (begin, stop), name in sorted(spans):
@@ -72,14 +84,15 @@ def log_gaps(log: FlightLog, signals: Iterable[str], end: float) -> tuple[Gap, .
 
 
 def runs_on(column: Column, begin: float, end: float) -> bool | None:
-    """Whether a signal goes on after a gap as if no time had passed, which it does where the clock jumps.
-
-    None if that is open: it rests, or its noise hides it.
+    """Whether a signal goes on after a gap as if no time had passed, as it does if the clock jumps.
 
     Args:
         column: The signal.
         begin: Time of the last message before the gap [s].
-        end: Time of the first message after it [s].
+        end: Time of the first message after the gap [s].
+
+    Returns:
+        None if nothing can be told, because the signal rests, or its noise hides the change, or messages are too few.
     """
     before = np.flatnonzero(column.time <= begin)[-LINE:]
     after = np.flatnonzero(column.time >= end)[:LINE]
@@ -100,7 +113,7 @@ def runs_on(column: Column, begin: float, end: float) -> bool | None:
 
 
 def clock_jumped(log: FlightLog, gap: Gap) -> bool:
-    """Whether all signals of a log lack messages in a gap, and those that move go on after it as if it were none."""
+    """Whether all signals lack messages in a gap, and those that move go on after it as if no time had passed."""
     answers = []
     for column in log.columns.values():
         if np.any((column.time > gap.begin) & (column.time < gap.end)):
@@ -110,7 +123,13 @@ def clock_jumped(log: FlightLog, gap: Gap) -> bool:
 
 
 def gap_text(log: FlightLog, gaps: tuple[Gap, ...], sample_time: float) -> str:
-    """The gaps in words, with the remedy for the longest."""
+    """The gaps in words, with the parts of the log before and after the longest gap as the remedy.
+
+    Args:
+        log: The flight.
+        gaps: The gaps, in order of time; at least one.
+        sample_time: Sample time of the study [s].
+    """
     spans = []
     for gap in gaps[:NAMED]:
         spans.append(f"{gap.end - gap.begin:.3g} s from {gap.begin:.4g} s on ({', '.join(gap.signals)})")

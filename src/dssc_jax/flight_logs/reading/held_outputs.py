@@ -1,6 +1,7 @@
 """Outputs that a log holds between their readings, as the position of a slow receiver in the rows of a fast controller.
 
-A repeated value is no new reading: it is late by up to the time between two of them. A command may rest.
+A repeated value of an output is no new reading: it is late by up to the time between two readings. A command, in
+contrast, may repeat a value because it rests.
 """
 
 import numpy as np
@@ -41,7 +42,7 @@ def usual_hold(values: np.ndarray) -> int:
 
 
 def drop_repeats(values: np.ndarray) -> np.ndarray:
-    """Replace every value of an output that repeats the one before by NaN."""
+    """A copy of an output with NaN in place of every value that repeats the finite one before, shape (samples,)."""
     finite_rows = np.flatnonzero(np.isfinite(values))
     repeated_rows = finite_rows[1:][np.diff(values[finite_rows]) == 0.0]
     without_repeats = values.copy()
@@ -50,9 +51,10 @@ def drop_repeats(values: np.ndarray) -> np.ndarray:
 
 
 def stuck_span(column: Column) -> tuple[float, float] | None:
-    """The times between which an output repeats one value, as that of a stuck sensor [s]; None: it never does.
+    """The times between which an output sticks to one value, as that of a stuck sensor does [s]; None: it never does.
 
-    A noisy output never repeats one for long. One that moves smoothly comes to rest before it repeats one.
+    A noisy output never repeats a value for long by chance. A smooth output slows down before it rests, so it sticks
+    only if it stops and goes on at speed.
     """
     changes = np.diff(column.value)
     begins, ends = flag_runs(changes == 0.0)
@@ -73,7 +75,13 @@ def stuck_span(column: Column) -> tuple[float, float] | None:
 
 
 def stops_at_speed(changes: np.ndarray, begin: int, end: int) -> bool:
-    """Whether a run of changes that are 0 begins and ends at a usual speed, shape (n,)."""
+    """Whether an output stops at a usual speed, and goes on at a usual speed.
+
+    Args:
+        changes: Changes of the output from one reading to the next, shape (n,).
+        begin: Index of the first change that is 0.
+        end: Index of the first change after them that is not 0.
+    """
     if begin == 0 or end == len(changes):
         return False
     usual_change = float(np.median(np.abs(changes[changes != 0.0])))

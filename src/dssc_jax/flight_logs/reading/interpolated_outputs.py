@@ -1,8 +1,8 @@
 """Outputs that a log interpolates between their readings, as a table that was brought to the rate of a controller.
 
-Between two readings such an output is a straight line, which bends at the readings alone. The sizes of its second
-differences repeat with the period of the readings: they are 0, but for rounding, where no reading is near. No vehicle
-flies such lines for a whole flight, and no noise leaves them.
+Between two readings such an output is a straight line, which bends at the readings alone. So its second differences are
+0, except for rounding, wherever no reading is near, and this pattern has the period of the readings. No vehicle flies
+such lines for a whole flight, and no noise leaves them straight.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ SWITCHING = 0.95  # share of bends with another sign than the one before: more a
 def bends(values: np.ndarray) -> np.ndarray:
     """The places in a period at which an interpolated output bends; empty if it is not interpolated.
 
-    The first of two bends in a row stands for both: the reading lies between them.
+    Of two bends in a row, the first one counts for both, because the reading lies between them.
 
     Args:
         values: The output, NaN where missing, shape (samples,).
@@ -51,13 +51,14 @@ def bends(values: np.ndarray) -> np.ndarray:
 
 
 def bent_places(sizes: np.ndarray, least_bend: float) -> np.ndarray:
-    """Which places of a period bend, if the others lie on straight lines; else none.
+    """Whether each place of a period bends, if all others lie on straight lines; else no place does. Shape (period,).
 
     Args:
         sizes: The usual size of the second differences at each place, shape (period,).
         least_bend: The least size of a bend: smaller ones are rounding.
     """
     ordered = np.sort(np.maximum(sizes, STRAIGHT * least_bend))
+    # The largest ratio of neighbouring sizes separates the lines from the bends.
     smallest_bend = float(ordered[1 + int(np.argmax(ordered[1:] / np.maximum(ordered[:-1], TINY)))])
     is_bend = sizes >= max(smallest_bend, least_bend)
     if least_bend == 0.0 or not is_bend.any() or np.mean(~is_bend) < LEAST_STRAIGHT:
@@ -68,7 +69,11 @@ def bent_places(sizes: np.ndarray, least_bend: float) -> np.ndarray:
 
 
 def are_readings(changes: np.ndarray) -> bool:
-    """Whether bends are those of readings, whose sizes and signs vary; NaN where missing, shape (n,)."""
+    """Whether bends are those of readings, whose sizes and signs vary.
+
+    Args:
+        changes: Second differences at the bends, NaN where missing, shape (n,).
+    """
     changes = changes[np.isfinite(changes)]
     sizes = np.abs(changes)
     size_count = len(np.unique(np.round(sizes / (SAME_SIZE * sizes.max()))))
@@ -77,7 +82,7 @@ def are_readings(changes: np.ndarray) -> bool:
 
 
 def are_steps(changes: np.ndarray, is_bend: np.ndarray) -> bool:
-    """Whether neighbouring bends have opposite signs, as those of a step do; one bend between samples gives equal ones.
+    """Whether neighbouring bends have opposite signs, as at a step. A reading between two samples gives equal signs.
 
     Args:
         changes: Second differences, NaN where missing, shape (samples,).

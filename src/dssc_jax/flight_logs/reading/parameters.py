@@ -1,4 +1,4 @@
-"""The parameters that a log of PX4 holds: those at its start, as changed during the flight."""
+"""The parameters that a log of PX4 holds: those at the start of the log, with changes during the flight applied."""
 
 from pathlib import Path
 
@@ -8,9 +8,9 @@ from dssc_jax.flight_logs.reading.ulog import parsed_log
 
 
 def logged_parameters(path: Path) -> dict[str, float]:
-    """The parameters of a ULog by name; of one that changed in flight, its last value.
+    """The parameters of a ULog by name, each with its last value in the flight.
 
-    What a damaged log holds in place of a number is left out.
+    Parameters whose value is no number, as in a damaged log, are left out.
 
     Raises:
         ConfigError: pyulog is missing, or the file cannot be read.
@@ -23,5 +23,5 @@ def logged_parameters(path: Path) -> dict[str, float]:
 
 
 def shortest_decimal(value: float) -> float:
-    """A parameter of PX4; of a float32 the number with the fewest digits: 0.05, not 0.05000000074505806."""
+    """A parameter of PX4 as a float. A float32 becomes the decimal with the fewest digits: 0.05, not 0.0500000007."""
     return float(value) if isinstance(value, int) else float(str(np.float32(value)))

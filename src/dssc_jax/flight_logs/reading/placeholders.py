@@ -18,16 +18,16 @@ CUSTOMARY = frozenset((*NINES, *BINARY))
 
 
 def placeholder(values: np.ndarray, is_output: bool) -> tuple[float, int] | None:
-    """The number that stands for missing values in a column, and how often; None if there is none.
+    """The number that stands for missing values in a column, and how often it occurs; None if there is none.
 
-    It is the lowest or the highest value, and far from all others. A customary number may stand there once, any other
-    one is repeated, and comes and goes, in an output, which does not jump. An output may also drop to one value again
-    and again. A command may rest, jump to a limit and come back, and a reference may jump, so that there only
-    customary numbers are.
+    The number is the lowest or the highest value, and far from all others. A customary number of :data:`CUSTOMARY`
+    counts even if it occurs once. Any other number counts only in an output, which does not jump, and only if it comes
+    and goes repeatedly. A value to which an output drops again and again counts as well, wherever it lies. Commands and
+    references may jump to a value and back, so that only customary numbers count there.
 
     Args:
         values: The column's values, in any unit, NaN where missing, shape (rows,).
-        is_output: Whether it is a measured output or its derivative.
+        is_output: Whether the column is a measured output or the derivative of one.
     """
     finite = values[np.isfinite(values)]
     if is_output:
@@ -48,7 +48,7 @@ def placeholder(values: np.ndarray, is_output: bool) -> tuple[float, int] | None
 
 
 def dropout_value(values: np.ndarray) -> float | None:
-    """The value to which an output drops again and again, and soon comes back; None: there is none.
+    """The value to which an output jumps again and again, and from which it soon jumps back; None: there is none.
 
     Args:
         values: The output's readings, all finite, shape (rows,).
@@ -83,7 +83,7 @@ def require_no_placeholder(name: str, values: np.ndarray) -> None:
         values: The column's values, NaN where missing, shape (rows,).
 
     Raises:
-        ConfigError: One does; the message has it.
+        ConfigError: A number does; the message names it.
     """
     found = placeholder(values, name.endswith(("y", "y_dot")))
     if found is not None:

@@ -48,8 +48,8 @@ class Column(NamedTuple):
     """One logged signal.
 
     Args:
-        time: Times of its values [s], not falling, shape (n,).
-        value: Its values, finite, in the study's unit, shape (n,).
+        time: Times of the values [s], not falling, shape (n,).
+        value: The finite values, in the study's unit, shape (n,).
     """
 
     time: np.ndarray
@@ -60,13 +60,13 @@ class FlightLog(NamedTuple):
     """A logged flight.
 
     Args:
-        name: The name of its file.
+        name: Name of the log's file.
         columns: The logged signals by name: ``y``, ``u_total`` and others of :data:`LOGGED`; those of a channel x are
             ``x_y``, ``x_u_total`` and so on.
         start: Time of the log at which the study begins [s].
         damaged: Whether the file has lost messages.
         airborne: When the vehicle was in the air, as far as the file tells.
-        file: The file.
+        file: Path of the log's file; None: the log was made in memory.
         dropped: Number of rows that are left out because their times fall, by signal.
         clock: The column of times of a CSV or Parquet file.
         resets: Resets of the estimator that the signals show after the start; known jumps of positions are taken out.
@@ -85,7 +85,7 @@ class FlightLog(NamedTuple):
     invalid: tuple[InvalidSpan, ...] = ()
 
     def is_cut(self) -> bool:
-        """Whether its file ends within a message; reads the file once more."""
+        """Whether the log's file ends within a message; the file is read once more."""
         return self.file is not None and is_ulog(self.file) and is_cut(self.file)
 
     @property
@@ -100,7 +100,7 @@ def first_time(columns: Mapping[str, Column]) -> float:
 
 
 def signal_name(channel: str, name: str) -> str:
-    """The name of a channel's signal."""
+    """The name in a log of a channel's signal: ``x_y`` for y of the channel x, ``y`` for that of a nameless channel."""
     return f"{channel}_{name}" if channel else name
 
 
@@ -131,8 +131,8 @@ def read_log(
         allow_damaged: Whether rows whose times fall are left out, the fewest possible; at most 5 %.
 
     Raises:
-        ConfigError: the file cannot be read, a column is absent or holds no numbers, or one that stands for missing
-            ones, its times fall, or it ends before its start.
+        ConfigError: The file cannot be read; a column is absent, holds no numbers, or holds one that stands for missing
+            values; times fall; or the log ends before its start.
     """
     file = Path(path)
     columns = column_map(table or {}, log_signals(channels))
@@ -164,7 +164,11 @@ def read_log(
 
 
 def converted_column(name: str, column: Column, source: SignalSource, allow_damaged: bool) -> tuple[Column, int]:
-    """The finite values of a column in the study's unit, and the number of rows left out because their times fall."""
+    """The finite values of a column in the study's unit, and the number of rows left out because their times fall.
+
+    Raises:
+        ConfigError: Times fall, and rows may not be left out; or a time or a value is too large.
+    """
     rows = np.flatnonzero(np.isfinite(column.time) & np.isfinite(column.value))
     selected_rows = rows[sound_rows(name, column.time[rows], rows, allow_damaged)]
     time = column.time[selected_rows]
@@ -183,7 +187,7 @@ class LogColumns(NamedTuple):
 
     Args:
         columns: The columns.
-        begin: The segment's beginning [s]; None without a segment.
+        begin: Beginning of the chosen segment [s]; None without a segment.
         damaged: Whether messages are lost.
         airborne: When the vehicle was in the air.
         resets: Resets of the estimator after the start.
@@ -199,7 +203,7 @@ class LogColumns(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """Why values may be missing: what is invalid, in words; empty if nothing is."""
+        """Why values may be missing: the invalid spans in words; empty if there are none."""
         return "".join(f"; {span.text()}" for span in self.invalid)
 
 
@@ -225,9 +229,9 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
 
 
 def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> LogColumns:
-    """Read the fields of a ULog's topics, by the signals' names; without a segment there is no beginning.
+    """Read the columns of a ULog, by the signals' names; times count from the beginning of the log.
 
-    Times count from the beginning of the log. Stated jumps of the estimator after the start are taken out.
+    Stated jumps of the estimator after the start are taken out, and values that it calls invalid are NaN.
     """
     sources = {name: (source.column,) for name, source in columns.signals.items()} or vehicle_columns(channels)
     if not sources:
@@ -271,7 +275,7 @@ def vehicle_columns(channels: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
 
 
 def column_remedy(channel: str, name: str) -> str:
-    """How a table of columns gives a signal, with the column that a ULog of PX4 usually has."""
+    """The remedy, in words, for a signal without a column, with the column that a ULog of PX4 usually has."""
     signal = signal_name(channel, name)
     usual_columns = PX4_COLUMNS.get(channel, {}).get(name)
     example = f", which PX4 logs as {' or '.join(usual_columns)}" if usual_columns else ""
@@ -286,7 +290,7 @@ def has_column(topics: TopicData, column: str) -> bool:
 
 
 def ulog_column(topics: TopicData, begin: float, name: str, column: str) -> Column:
-    """Get a signal's column with its times; raises ConfigError if the log lacks it."""
+    """Get a signal's column of a ULog with its times [s]; raises ConfigError if the log lacks the topic or field."""
     place = column_place(column)
     if place.label not in topics:
         present = [label.removesuffix(":0") for label in topics]
@@ -302,7 +306,7 @@ def ulog_column(topics: TopicData, begin: float, name: str, column: str) -> Colu
 
 
 def within_segment(name: str, column: Column, segment: Segment) -> Column:
-    """The values of a column within a segment."""
+    """The values of a column within a segment; raises ConfigError if there are none."""
     is_inside = (column.time >= segment.begin) & (column.time <= segment.end)
     if not is_inside.any():
         span = f"{segment.begin:.4g} s to {segment.end:.4g} s"
@@ -316,10 +320,17 @@ def samples_within(log: FlightLog, sample_time: float, steps: int) -> int:
 
 
 def nearest_rows(column: Column, start: float, sample_time: float, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """The logged value nearest to each sample instant, of shape (samples,).
+    """Find the logged value nearest to each instant ``start`` + k ``sample_time``.
+
+    Args:
+        column: The signal.
+        start: Time of the log at sample 0 [s].
+        sample_time: Time between two samples [s].
+        samples: Number of samples.
 
     Returns:
-        Positions in the column; the values' times less the instants, in samples, NaN where they exceed half a sample.
+        Positions of the values in the column, and the values' times less the instants, in samples, NaN where they
+        exceed half a sample; both of shape (samples,).
     """
     instants = start + sample_time * np.arange(samples)
     middles = 0.5 * (column.time[1:] + column.time[:-1])
@@ -355,7 +366,7 @@ def nearest_offsets(column: Column, start: float, sample_time: float, samples: i
 def channel_signals(study: Study, log: FlightLog, index: int, reference: np.ndarray) -> dict[str, np.ndarray]:
     """The logged signals of a channel at the study's samples, NaN where missing, by their names without the channel.
 
-    An angle is shifted to within pi of the study's reference of shape (samples,).
+    The output of an angle is shifted by turns to within pi of the study's reference, shape (samples,).
     """
     channel = study.loop.channels[index]
     signals = {}
@@ -379,7 +390,7 @@ def held_samples(signals: Mapping[str, np.ndarray]) -> dict[str, int]:
 
 
 def forward_filled(values: np.ndarray) -> np.ndarray:
-    """Fill each missing value with the finite one before it, or else the first one, shape (samples,); needs one."""
+    """Fill each missing value with the finite one before it, or else with the first finite one; one has to exist."""
     finite_rows = np.flatnonzero(np.isfinite(values))
     latest = np.searchsorted(finite_rows, np.arange(len(values)), side="right") - 1
     return values[finite_rows[np.maximum(latest, 0)]]

@@ -1,11 +1,11 @@
 """Resets of PX4's estimator: jumps of position, velocity and heading that no vehicle has flown, and their removal.
 
-A counter of a topic rises at each reset, and ``delta_..`` has the jump: what the estimate is after it, less what it was
-before. Where the log has both, the jump is taken out of the estimate and of its setpoints, which are in the same frame:
-they then continue in the frame from before the reset. A velocity keeps its jump. The estimate was wrong before it and
-is right after it, and the vehicle's controllers have seen it.
+A counter of a topic rises at each reset, and a field ``delta_..`` has the jump: the estimate after the reset less that
+before it. Where the log has both, the jump is taken out of the estimate and of its setpoints, which are in the same
+frame: they then continue in the frame from before the reset. A velocity keeps its jump: the estimate was wrong before
+the reset and is right after it, and the vehicle's controllers have seen the jump.
 
-The topic tells at which times position and velocity are valid, too; invalid ones are left out.
+The topic of the position also tells when position and velocity are valid; invalid values are left out.
 
 Sources: PX4 user guide, messages ``VehicleLocalPosition`` and ``VehicleAttitude``; PX4's EKF2, where the change of the
 quaternion is q_after q_before^-1.
@@ -46,9 +46,9 @@ class Counter(NamedTuple):
     """A counter of resets.
 
     Args:
-        topic: Its topic.
-        name: Its field.
-        deltas: The fields with the jump.
+        topic: Name of the counter's topic.
+        name: Name of the counter's field.
+        deltas: The fields that state the jump.
         fields: The fields that jump.
         unit: Unit of the jump.
     """
@@ -77,8 +77,8 @@ class Reset(NamedTuple):
     """A reset of the estimator.
 
     Args:
-        counter: Its counter.
-        row: Position of the first message after it, in the topic.
+        counter: The counter that has risen.
+        row: Position in the topic of the first message after the reset.
         time: Time of that message, from the beginning of the log [s].
         jump: The change of each field of the counter; of an attitude, the quaternion q_after q_before^-1.
         is_stated: Whether the log states the jump; else it is the difference from the message before.
@@ -124,7 +124,14 @@ class Reset(NamedTuple):
 
 
 class InvalidSpan(NamedTuple):
-    """A span in which the estimator calls a quantity invalid: its flag, its fields, and both ends [s]."""
+    """A span in which the estimator calls a quantity invalid.
+
+    Args:
+        flag: Name of the flag, a field of the position's topic.
+        fields: The invalid fields of that topic.
+        begin: Time of the first invalid message [s].
+        end: Time at which the quantity is valid again, or the log ends [s].
+    """
 
     flag: str
     fields: tuple[str, ...]
@@ -137,14 +144,14 @@ class InvalidSpan(NamedTuple):
 
 
 def reset_list(resets: Sequence[Reset]) -> str:
-    """Times and jumps of some resets."""
+    """Times and jumps of the first resets, and the number of the others, in words."""
     texts = [f"at {reset.time:.4g} s ({reset.text()})" for reset in resets[:NAMED]]
     remainder = f" and {len(resets) - NAMED} more" if len(resets) > NAMED else ""
     return f"{', '.join(texts)}{remainder}"
 
 
 def estimate_topics(names: Iterable[str]) -> set[str]:
-    """The topics that count the resets of the estimates in some topics."""
+    """The topics with the counters of resets that concern some topics, given by name."""
     topics = set()
     for name in names:
         if name == POSITION or name in SETPOINTS:
@@ -155,11 +162,11 @@ def estimate_topics(names: Iterable[str]) -> set[str]:
 
 
 def resets_of(topics: TopicData, begin: float) -> list[Reset]:
-    """The resets of a log, in order of time; a first valid estimate is none.
+    """The resets of a log, in order of time; the first valid estimate is no reset.
 
     Args:
-        topics: Topics of the log; those of the position and of the attitude are read, as far as it has them.
-        begin: The time at which it begins [us].
+        topics: Topics of the log, of which those of the position and of the attitude are used.
+        begin: The time at which the log begins [us].
     """
     resets = []
     for counter in COUNTERS:
@@ -186,7 +193,7 @@ def was_valid(fields: Mapping[str, np.ndarray], counter: Counter, row: int) -> b
 
 
 def stated_jump(fields: Mapping[str, np.ndarray], counter: Counter, row: int) -> tuple[float, ...]:
-    """The jump that a message states."""
+    """The jump that the message in a row states, one number for each field of ``counter.deltas``."""
     return tuple(float(fields[name][row]) for name in counter.deltas)
 
 
@@ -224,8 +231,8 @@ def invalid_spans(topics: TopicData, begin: float, end: float) -> list[InvalidSp
 
     Args:
         topics: Topics of the log.
-        begin: The time at which it begins [us].
-        end: Its end [s], up to which the last message holds.
+        begin: The time at which the log begins [us].
+        end: End of the log [s], up to which the last message holds.
     """
     fields = topics.get(f"{POSITION}:0", {})
     spans = []
@@ -292,7 +299,10 @@ def without_jump(values: np.ndarray, row: int, jump: float) -> np.ndarray:
 
 
 def stamps_around_reset(reset: Reset, resets: Sequence[Reset], topics: TopicData) -> tuple[float, float]:
-    """The stamps of the estimate before and after a reset [us]; of a heading, those of the attitude's reset with it."""
+    """The stamps of the estimate's last message before a reset and of its first one after it [us].
+
+    For a reset of the heading, they are those of the attitude's reset at the same time, if there is one.
+    """
 
     def stamps_of(jump: Reset) -> tuple[float, float]:
         published = topics[f"{jump.counter.topic}:0"]["timestamp"]
@@ -311,12 +321,12 @@ def first_row_after_reset(
 ) -> int:
     """The first message of a setpoint that is in the frame of the estimate after a reset.
 
-    If the setpoint steps by the jump near the reset, it is the message with that step. Else it is the first one after
-    the estimate's first message.
+    If the setpoint steps by the jump near the reset, the message with that step is the first. Otherwise it is the first
+    message at or after ``end``.
 
     Args:
-        setpoint: The fields of its topic.
-        jumps: The change of the frame along some of them.
+        setpoint: The fields of the setpoint's topic.
+        jumps: The jump of the frame along some of these fields, by field.
         begin: The stamp of the estimate's last message before the reset [us].
         end: The stamp of the estimate's first message after the reset [us].
     """
@@ -337,7 +347,7 @@ def first_row_after_reset(
 
 
 def needed_fields(topic: str, name: str, topics: TopicData) -> tuple[str, ...]:
-    """The topic's own fields that a field follows from."""
+    """The topic's own fields from which a field is computed; the field itself if it is not in the model's axes."""
     derived = derived_fields(topic, topics.get(f"{topic}:0", {})).get(name)
     return (name,) if derived is None else derived.needs
 
@@ -346,6 +356,11 @@ def concerns(reset: Reset, topic: str, needs: Iterable[str]) -> bool:
     """Whether a reset changes one of the fields ``needs`` of a topic, or the velocity along the axis of one of them.
 
     A field of a setpoint counts as the estimate's field in the same frame; a reset of the attitude concerns its yaw.
+
+    Args:
+        reset: The reset.
+        topic: Name of the topic.
+        needs: The topic's own fields from which a column is computed.
     """
     jumping = set(reset.counter.fields)
     if topic in SETPOINTS:
@@ -364,9 +379,9 @@ def concerned_resets(
 
     Args:
         topics: Topics of the log.
-        begin: The time at which it begins [us].
+        begin: The time at which the log begins [us].
         columns: Topic and field of each column.
-        start: The time, from the beginning of the log [s].
+        start: The time after which resets count, from the beginning of the log [s].
     """
     needs = [(topic, needed_fields(topic, name, topics)) for topic, name in columns]
     later_resets = [reset for reset in resets_of(topics, begin) if reset.time > start]
@@ -374,7 +389,7 @@ def concerned_resets(
 
 
 def concerned_spans(topics: TopicData, begin: float, columns: Sequence[tuple[str, str]]) -> tuple[InvalidSpan, ...]:
-    """The spans in which some columns, each a topic and a field, are invalid."""
+    """The spans in which some columns, each a topic and a field, are invalid; the log begins at ``begin`` [us]."""
     needs = {field for topic, name in columns if topic == POSITION for field in needed_fields(topic, name, topics)}
     spans = invalid_spans(topics, begin, log_end(topics, begin))
     return tuple(span for span in spans if needs & set(span.fields))

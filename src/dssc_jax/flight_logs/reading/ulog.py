@@ -54,15 +54,15 @@ class LogTopics(NamedTuple):
     """What a log holds.
 
     Args:
-        system: What it says of its system: hardware, software and so on, by PX4's names.
-        duration: From its beginning to its last stamp, without late ones [s].
-        topics: Its topics, by name.
+        system: What the log tells of the system that wrote it: hardware, software and so on, by PX4's names.
+        duration: Time from the beginning of the log to the last stamp that is not stray [s].
+        topics: Topics of the log, sorted by name.
         dropouts: Number of gaps in writing, and their sum [s].
         damaged: Position of the first byte that is no message; None: there is none.
         damages: Number of places with such bytes.
         lost: Number of such bytes.
         cut: Whether the file ends within a message.
-        late: Last messages of topics long after the span.
+        late: Stray last messages of topics, long after the end of the log.
     """
 
     system: dict[str, str]
@@ -77,7 +77,7 @@ class LogTopics(NamedTuple):
 
 
 class LogWarning(UserWarning):
-    """A log is damaged."""
+    """A log is damaged, or what is read from it differs from it because of its estimator."""
 
 
 def is_ulog(path: Path) -> bool:
@@ -100,7 +100,7 @@ class OpenedLog(NamedTuple):
 
 @contextmanager
 def opened_log(path: Path) -> Iterator[OpenedLog]:
-    """An opened ULog; errors of its content, and of pyulog, become a ConfigError."""
+    """Open a ULog. Errors of its content, and of pyulog, become a ConfigError."""
     try:
         from pyulog import ULog  # an optional extra
     except ImportError as error:
@@ -146,7 +146,7 @@ def read_topics(path: Path, names: Iterable[str]) -> ReadTopics:
 def parsed_log(path: Path, names: Iterable[str]) -> "tuple[ULog, bool]":
     """Parse a log with the messages of some topics, and tell whether it is damaged.
 
-    pyulog skips to the next synchronisation message after damage, or stops. A damaged log is therefore parsed again,
+    After damage, pyulog skips to the next synchronisation message, or stops. A damaged log is therefore parsed again,
     without the bytes that are no message.
 
     Raises:
@@ -164,7 +164,7 @@ def parsed_log(path: Path, names: Iterable[str]) -> "tuple[ULog, bool]":
         if not scan.damages:
             return log, True
         skipped_parts = list(scan.damages)
-        if scan.flags is not None:  # its offsets are those of the whole file
+        if scan.flags is not None:  # the offsets in this message count in the whole file, and would be wrong
             skipped_parts.append(scan.flags)
         skipped_parts.sort()
         size = opened.file.seek(0, 2)
@@ -174,8 +174,8 @@ def parsed_log(path: Path, names: Iterable[str]) -> "tuple[ULog, bool]":
 def stamps(fields: Mapping[str, np.ndarray], begin: float) -> np.ndarray:
     """Times of a topic's messages from the beginning of the log [s]; NaN where one has no stamp.
 
-    ``timestamp_sample`` is the time at which a value was measured, or of the measurement that it follows from;
-    ``timestamp`` is that of its publication. The first counts where a topic has it and it does not fall.
+    ``timestamp_sample`` is the time of the measurement from which a value follows; ``timestamp`` is that of the
+    publication. ``timestamp_sample`` counts if all messages of the topic have it and it does not fall.
     """
     published = fields["timestamp"].astype(float)
     measured = fields.get("timestamp_sample")
@@ -252,7 +252,7 @@ def segments_of(topics: TopicData, begin: float, end: float | None = None) -> li
     Args:
         topics: The topics of the log that are read; those of :data:`SEGMENT_TOPICS`, as far as the log has them.
         begin: The time at which the log begins [us].
-        end: Its end [s]; None: the last stamp of the topics.
+        end: End of the log [s]; None: the last stamp of the topics.
     """
     end = log_end(topics, begin) if end is None else end
     armed = spans_of(topics, "actuator_armed:0", "armed", lambda values: values > 0, begin, end)
@@ -277,7 +277,16 @@ def spans_of(
     begin: float,
     end: float,
 ) -> list[tuple[float, float]] | None:
-    """The spans of time in which a field has a property; None if the log does not have it."""
+    """The spans of time in which a field has a property; None if the log lacks the field.
+
+    Args:
+        topics: Topics of the log.
+        topic: Key of the topic, ``name:instance``.
+        field: Name of the field.
+        holds: Values of the field -> whether each of them has the property.
+        begin: The time at which the log begins [us].
+        end: End of the log [s], up to which the last message holds.
+    """
     fields = topics.get(topic)
     if fields is None or field not in fields:
         return None
@@ -289,7 +298,11 @@ def spans_of(
 
 
 def named_segment(text: str, segments: Sequence[Segment]) -> Segment:
-    """The segment that a text names: ``armed`` the longest one, ``armed:2`` the second.
+    """The segment that a text names: ``armed`` stands for the longest such segment, ``armed:2`` for the second.
+
+    Args:
+        text: The text.
+        segments: The segments of the log.
 
     Raises:
         ConfigError: there is no such segment.

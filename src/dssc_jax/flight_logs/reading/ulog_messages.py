@@ -44,7 +44,7 @@ PADDING = "_padding"
 
 
 class BodySizes(NamedTuple):
-    """The sizes that the messages of a topic may have [bytes], with the topic's number."""
+    """The sizes that the messages of a topic may have [bytes], including the two bytes of the topic's number."""
 
     smallest: int  # without the padding at the end
     largest: int
@@ -54,7 +54,12 @@ ANY_SIZE = BodySizes(STAMPED.size, 0xFFFF)
 
 
 def message_sizes(name: str, formats: Mapping[str, str]) -> BodySizes:
-    """The sizes of a topic's messages by the log's formats; any size where the log lacks one of these."""
+    """The sizes that a topic's messages may have by the log's formats; any size if the log lacks one of the formats.
+
+    Args:
+        name: Name of the topic's format.
+        formats: The fields of each format, as text, by name.
+    """
     try:
         smallest, largest = field_sizes(name, formats)
     except (KeyError, RecursionError):
@@ -63,7 +68,12 @@ def message_sizes(name: str, formats: Mapping[str, str]) -> BodySizes:
 
 
 def field_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int]:
-    """The bytes of a format's fields without and with the padding at its end; raises KeyError for an unknown type."""
+    """The bytes of a format's fields without and with the padding at its end; raises KeyError for an unknown type.
+
+    Args:
+        name: Name of the format.
+        formats: The fields of each format, as text, by name.
+    """
     padded = 0
     unpadded = 0
     for text in formats[name].split(";"):
@@ -79,7 +89,12 @@ def field_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int]:
 
 
 def is_sound_text(kind: int, body: bytes) -> bool:
-    """Whether the body of a message without data is possible for its kind."""
+    """Whether a body is possible for a message of a kind other than data.
+
+    Args:
+        kind: Kind of the message, as a byte.
+        body: Body of the message, without its head.
+    """
     if kind not in KINDS or kind == DATA:
         return False
     size = len(body)
@@ -95,7 +110,7 @@ def is_sound_text(kind: int, body: bytes) -> bool:
 
 
 def is_sound_value(body: bytes) -> bool:
-    """Whether bytes are the length of a key, a key such as ``float NAME``, and a value of that type."""
+    """Whether bytes are, in this order, the length of a key, a key such as ``float NAME``, and a value of that type."""
     if not body or len(body) <= body[0]:
         return False
     key = body[1 : 1 + body[0]]

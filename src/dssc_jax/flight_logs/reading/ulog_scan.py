@@ -1,7 +1,7 @@
 """A pass over a ULog's messages, which counts them by topic, and goes on after bytes that are no message.
 
-After damage the pass goes on at the first byte from which several sound messages follow one another, or at a
-synchronisation message. A message of a topic is sound if its size is that of the topic's format.
+After damage, the pass goes on at the first byte from which several sound messages follow one another, or at a
+synchronisation message. A message of a topic is sound if its size agrees with the topic's format.
 """
 
 import bisect
@@ -29,8 +29,8 @@ from dssc_jax.flight_logs.reading.ulog_messages import (
 )
 
 CHAIN = 5  # sound messages that show where a log goes on
-CHAIN_READ = 40  # messages that are looked at for them: topics may have been lost with their numbers
-USUAL_DIGITS = 3  # binary ones, above those of the middle interval
+CHAIN_READ = 40  # messages that are read to find them: the damage may have hidden the numbers of some topics
+USUAL_DIGITS = 3  # binary digits that a usual interval may have more than the median one
 WINDOW = 1 << 16  # bytes that are searched at a time
 
 
@@ -46,12 +46,12 @@ class LogTopic(NamedTuple):
 
     Args:
         name: ``topic``, or ``topic:1`` for its second instance.
-        messages: Number of its messages.
-        first: Time of the first one with a stamp, from the beginning of the log [s]; NaN if none has.
-        last: Time of the last one [s].
+        messages: Number of messages.
+        first: Time of the first message with a stamp, from the beginning of the log [s]; NaN if none has a stamp.
+        last: Time of the last message with a stamp [s].
         falls: Number of messages with an earlier stamp than the message before.
-        fall: Stamps before and after the first of them [s]; NaN if there is none.
-        usual_rate: Messages a second where none are missing; NaN of a single one.
+        fall: Stamps before and after the first such fall [s]; NaN if there is none.
+        usual_rate: Rate of messages where none are missing [1/s]; NaN of a single message.
         gap: Stamps before and after the longest time without a message [s]; NaN of a single message.
     """
 
@@ -66,7 +66,7 @@ class LogTopic(NamedTuple):
 
     @property
     def rate(self) -> float:
-        """Messages a second between the first and the last one, or where none are missing if stamps fall."""
+        """Rate of messages between the first and the last one [1/s]; if stamps fall, the usual rate."""
         span = self.last - self.first
         return self.usual_rate if self.falls or not span > 0.0 else (self.messages - 1) / span
 
@@ -75,7 +75,7 @@ class TopicCount:
     """The messages of a topic so far, and their stamps.
 
     Args:
-        sizes: The sizes that its messages may have.
+        sizes: The sizes that messages of the topic may have.
     """
 
     __slots__ = (
@@ -98,14 +98,14 @@ class TopicCount:
         self.first: int | None = None  # us, as all stamps
         self.last = 0
         self.gap = self.shorter_gap = (0, 0)  # stamps around the longest interval, and around the longest before it
-        self.stamp_after_fall = 0  # of the last fall
+        self.stamp_after_fall = 0  # stamp after the last fall
         self.falls = 0  # stamps that are earlier than the one before
         self.fall: tuple[int, int] | None = None  # stamps around the first of them
         self.intervals = [0] * 65  # number of intervals, by the binary digits of their length
-        self.sums = [0] * 65  # their total length, by the same digits
+        self.sums = [0] * 65  # total length of these intervals, by the same digits
 
     def add(self, stamp: int) -> None:
-        """Count a message with a stamp; one of 0 is none."""
+        """Count a message with a stamp [us]; a stamp of 0 stands for none."""
         self.messages += 1
         if not stamp:
             return
@@ -129,7 +129,7 @@ class TopicCount:
         self.last = stamp
 
     def usual_rate(self) -> float:
-        """Messages a second, without intervals of more than eight times the middle one."""
+        """Rate of messages [1/s], without intervals of more than about eight times the median; NaN without any."""
         interval_count = sum(self.intervals)
         cumulative_count = 0
         for digits, count in enumerate(self.intervals):
@@ -140,7 +140,7 @@ class TopicCount:
         return np.nan
 
     def topic(self, name: str, begin: int) -> LogTopic:
-        """The topic, with times from the beginning of the log [us]."""
+        """Describe the topic, by its name and the time at which the log begins [us]."""
 
         def seconds(stamps: tuple[int, int] | None) -> Stamps:
             return Stamps() if stamps is None else Stamps(*(MICROSECOND * (stamp - begin) for stamp in stamps))
@@ -210,7 +210,7 @@ class Scan:
             file.seek(end)
 
     def _count(self, body: bytes) -> bool:
-        """Count a message of a topic, whose first field is its stamp; False: there is no such topic, or size."""
+        """Count a message of a topic by its stamp; False if there is no such topic, or the size is impossible."""
         size = len(body)
         if size < STAMPED.size:
             return False
@@ -227,7 +227,13 @@ class Scan:
         return None if count is None else count.sizes
 
     def _record(self, kind: int, body: bytes, end: int) -> bool:
-        """Record a format, topic, dropout or flags from a message with an end; False if it is not sound."""
+        """Record a format, a topic, a dropout or the place of the flags from a message; False if it is not sound.
+
+        Args:
+            kind: Kind of the message.
+            body: Body of the message.
+            end: Place in the file right after the message.
+        """
         if not is_sound_text(kind, body):
             return False
         if kind == FORMAT:
@@ -257,7 +263,7 @@ class Scan:
         return sizes is not None and sizes.smallest <= size <= sizes.largest
 
     def _next_message(self, file: BinaryIO, place: int) -> int:
-        """Find the first place, from a given one, where sound messages continue; the log's end if there is none."""
+        """Find the first place, at or after a given one, where sound messages go on; the log's end if there is none."""
         longest_head = MESSAGE.size + STAMPED.size
         while True:
             file.seek(place)
@@ -276,7 +282,7 @@ class Scan:
             place += searched_bytes
 
     def _has_sound_chain(self, file: BinaryIO, place: int) -> bool:
-        """Whether several sound messages follow one another from a place, or the last ones of the log."""
+        """Whether several sound messages follow one another from a place on; fewer suffice at the end of the log."""
         file.seek(place)
         sound_count = 0
         for count in range(CHAIN_READ):
@@ -313,25 +319,25 @@ class Scan:
 
 
 class UndamagedBytes:
-    """A log's file without some of its bytes, to be read from its beginning to its end.
+    """A file object that reads a log's file as if some of its bytes were not there.
 
     Args:
         file: The log.
         damages: Bytes to leave out, in order.
-        size: The file's size.
+        size: Size of the file [bytes].
     """
 
     def __init__(self, file: BinaryIO, damages: list[Damage], size: int) -> None:
         self._file = file
         self._begins = [0, *(damage.end for damage in damages)]  # the parts' beginnings in the file
         ends = [*(damage.begin for damage in damages), size]
-        self._starts = [0]  # the parts' beginnings in what is read, and its end
+        self._starts = [0]  # the parts' beginnings in the remaining bytes, and the end of these
         for begin, end in zip(self._begins, ends, strict=True):
             self._starts.append(self._starts[-1] + end - begin)
         self._position = 0
 
     def read(self, size: int = -1) -> bytes:
-        """The bytes that follow, at most ``size``."""
+        """Read the next remaining bytes, at most ``size``; all of them if ``size`` is negative."""
         end = self._starts[-1] if size < 0 else min(self._position + size, self._starts[-1])
         chunks = []
         while self._position < end:
@@ -346,13 +352,13 @@ class UndamagedBytes:
         return b"".join(chunks)
 
     def seek(self, offset: int, origin: int = 0) -> int:
-        """Go to a place, from the beginning, the present one or the end."""
+        """Go to a place in the remaining bytes; the offset counts from the beginning, the present place or the end."""
         start = (0, self._position, self._starts[-1])[origin]
         self._position = max(start + offset, 0)
         return self._position
 
     def tell(self) -> int:
-        """The present place."""
+        """The present place in the remaining bytes."""
         return self._position
 
     def close(self) -> None:
