@@ -1,4 +1,4 @@
-"""The verifier of a certificate: a loop is proved if all premises of the theorem, (P0) to (P8), hold in ball arithmetic.
+"""The verifier of a certificate: a loop is proved if the premises (P0) to (P8) of the theorem hold in ball arithmetic.
 
 The verifier shares no code with the search. It takes the certificate's numbers as exact. All other numbers are balls
 (`arb` of FLINT) that contain the exact ones, except that sums of impulse responses and Table 1's gains are float64 with

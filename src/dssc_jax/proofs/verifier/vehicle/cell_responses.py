@@ -138,7 +138,7 @@ def negligible_responses(peaks: np.ndarray) -> np.ndarray:
 
 
 def start_responses(sizes: np.ndarray, initial: np.ndarray, is_along_axes: np.ndarray) -> np.ndarray:
-    """Combine the responses to the columns of the starts: to the whole start, to a deviation of q_(-1), to the constant.
+    """Combine responses to the columns of the starts: to the whole start, to a deviation of q_(-1), to the constant.
 
     Args:
         sizes: Magnitudes of the responses to each column of the starts, shape (..., rows, 4 + axes).

@@ -159,7 +159,7 @@ def vertical_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
     """The channel of z: e'' = a_z - c e' + o + r_force with the wanted acceleration a_z; chi = (e, e').
 
     A rotor lag adds the state q, the lift that the rotors achieve, with e'' = q - c e' + o + r_force and q' = (a_z -
-    q)/tau + r_lag. The constant o, from a wrong believed weight, enters where r_force does.
+    q)/tau + r_lag. The constant o enters where r_force does.
 
     Args:
         problem: The certificate's problem.

@@ -79,7 +79,7 @@ class Deviations(NamedTuple):
 def deviations_in_regions(
     problem: VehicleProblem, name: str, proof: MiddleProof, sigmas: Sequence[arb]
 ) -> list[Deviations]:
-    """(V2) The deviations of a channel's functions for |sigma| up to each of several bounds, in the order of the bounds.
+    """(V2) The deviations of a channel's functions for |sigma| up to each of several bounds, in the bounds' order.
 
     The intervals of |sigma| between one bound and the next are enclosed one by one, so that none is enclosed twice.
 
