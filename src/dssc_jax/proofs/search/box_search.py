@@ -130,7 +130,7 @@ def reached_error(stage: SetStage | BoundsStage, setting: Setting) -> float:
 
 
 def smallest_error(proof: Proof, setting: Setting) -> float:
-    """The smallest bound of |e| [m] at the samples over all stages of a proof, which holds once the loop has settled."""
+    """The smallest bound of |e| [m] at the samples over all stages of a proof; it holds once the loop has settled."""
     return min(reached_error(stage, setting) for stage in proof.stages)
 
 
@@ -216,7 +216,7 @@ def halves(box: Box, problem: ProofProblem) -> list[Box]:
     gains = gain_hull(problem, NEAR_ORIGIN, NEAR_ORIGIN)
 
     def eigenvalues(box: Box) -> np.ndarray:
-        """Eigenvalues of A in z+ = A z for the loop in the middle of a box, sorted so as to compare them, shape (n,)."""
+        """Eigenvalues of A in z+ = A z for the loop in the middle of a box, sorted for comparison, shape (n,)."""
         return np.sort_complex(np.linalg.eigvals(step_of(problem, box_middle(box, gains), box).a))
 
     def eigenvalue_change(name: str) -> float:

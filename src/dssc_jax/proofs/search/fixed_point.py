@@ -180,7 +180,7 @@ def motion_sizes(fitted: FittedBounds) -> np.ndarray:
 
 
 def slide_slack(problem: ProofProblem, box: Box, fitted: FittedBounds, region: StageRegion) -> float:
-    """Bound of the deviation of the equivalent control u_eq from that of the middle loop [m/s], for which rho needs room.
+    """Bound of the deviation of the equivalent control u_eq from the middle loop's [m/s], for which rho needs room.
 
     Args:
         problem: The problem, with bounds of the disturbance.

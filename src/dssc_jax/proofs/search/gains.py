@@ -108,7 +108,7 @@ def sigma_values(smallest: float, largest: float) -> np.ndarray:
 
 
 def error_values(problem: ProofProblem, smallest: float, largest: float) -> np.ndarray:
-    """Values of e [m] with smallest <= |e| <= largest, of either sign; one value if the functions do not depend on e."""
+    """Values of e [m] with smallest <= |e| <= largest, of either sign; only one if the functions do not depend on e."""
     if problem.functions["kind"] != "vgsta":  # Table 1
         return np.array([largest])
     positive = np.linspace(smallest, largest, GRID // 2 + 1)
