@@ -128,7 +128,7 @@ def require_covered_laws(study: Study) -> None:
 
     Raises:
         NotCovered: A proof does not cover an uncertain number, its law has no bounds, or the number is a parameter of
-            the study, from which other numbers follow or none.
+            the study rather than a number of the loop.
     """
     for name, law in study.written_laws.items():
         if name in study.parameter_names:
@@ -262,7 +262,11 @@ def with_zeros(values: Iterable[float], size: int) -> tuple[float, ...]:
 def unmodelled_of(study: Study, ends: Ends) -> JsonObject:
     """Make the fields of a problem for the unmodelled dynamics: ``numerator``, ``denominator``, ``mu`` and ``delay``.
 
-    A fixed delay [samples] excludes G(mu s), and the other way round; the fields of what is absent are empty or 0.
+    A loop has G(mu s), a fixed delay [samples] or neither. The fields of absent dynamics are empty or 0.
+
+    Args:
+        study: The study, with a single channel.
+        ends: The loop's parameters at the lower and the upper ends of all laws.
 
     Raises:
         NotCovered: The unmodelled dynamics are neither a lag, a transfer function nor a known delay.
@@ -309,7 +313,7 @@ def pi_content(member: Controller, gains: PiGains) -> JsonObject:
 
     Args:
         member: The sampled form of PI in the loop.
-        gains: Its gains.
+        gains: The gains of PI.
 
     Raises:
         NotCovered: PI is not in its implicit form, or a gain is not positive.
@@ -336,8 +340,8 @@ def dssc_content(member: Controller, gains: DsscGains) -> JsonObject:
     """Make the fields of a problem for DSSC or SSC.
 
     Args:
-        member: The controller of the loop, which tells its sampled form.
-        gains: Its gains.
+        member: The controller of the loop, which tells the sampled form.
+        gains: The gains of the controller.
 
     Raises:
         NotCovered: A proof does not cover the sampled form or an option of the controller.

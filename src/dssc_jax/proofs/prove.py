@@ -45,7 +45,7 @@ class Proved:
         problem: The problem that was to be proved.
         proofs: The proofs that the verifier accepted, one for each proved box.
         failures: The boxes that were given up, each with the reason.
-        error: Upper bound of |e| [m] at all times once settled, in the proved boxes; infinite if there are none.
+        error: Upper bound of |e| [m] at all times once settled, in the proved boxes; infinite if no box is proved.
         largest_error: Upper bound of |e| [m] from the start on; infinite if no box is proved.
         seconds: Computing time [s].
         units: Units of the output and the command, which the statement in words names.
@@ -96,7 +96,7 @@ class Proved:
         }
 
     def statement(self) -> str:
-        """The proved statement, in one sentence."""
+        """The proved statement in one sentence; if not all boxes are proved, it names the share of the plants."""
         if not self.proofs:
             return f"Nothing is proved: {self.reason}."
         box = with_mu(self.problem.box)
@@ -156,7 +156,8 @@ def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], No
     docs/vehicle_proofs.md.
 
     Args:
-        study: A study of DSSC, SSC or PI on a plant (5)-(8), or of a vehicle that hovers; its sweep is ignored.
+        study: A study of DSSC, SSC or PI on a plant (5)-(8), or of a vehicle that hovers or flies the mission; its
+            sweep is ignored.
         boxes: Largest number of boxes that are tried; a vehicle is one box.
         progress: Called after each box with the number of boxes done, and of all boxes known so far. A vehicle does
             not call it.

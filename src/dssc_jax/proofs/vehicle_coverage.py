@@ -246,6 +246,10 @@ def product(a: Interval, b: Interval) -> Interval:
 def delay_of(study: Study, ends: Ends) -> float:
     """Return the delay of the commands [samples], the same in all channels; 0 without unmodelled dynamics.
 
+    Args:
+        study: The study.
+        ends: The loop's parameters at the lower and the upper ends of all laws.
+
     Raises:
         NotCovered: The unmodelled dynamics are not a single delay, or the delay is uncertain or differs between
             channels.
@@ -263,6 +267,10 @@ def delay_of(study: Study, ends: Ends) -> float:
 
 def wind_of(study: Study, ends: Ends) -> tuple[float, float]:
     """Return bounds of the norm of the horizontal wind and of the magnitude of the vertical wind [m/s].
+
+    Args:
+        study: The study.
+        ends: The loop's parameters at the lower and the upper ends of all laws.
 
     Raises:
         NotCovered: The kind of wind states no bounds.

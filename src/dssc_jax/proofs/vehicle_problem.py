@@ -36,7 +36,7 @@ class ChannelProblem:
 
 @dataclass(frozen=True)
 class VehicleProblem:
-    """A hovering multirotor with a sampled controller in each channel, and intervals of its uncertain numbers.
+    """A multirotor that hovers or flies the mission, with sampled controllers and intervals of its uncertain numbers.
 
     Args:
         sample_time: T_s [s].

@@ -152,9 +152,9 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
 
 
 def gains_vary_on_the_way(problem: ProofProblem, box: Box) -> bool:
-    """Whether K_P varies so much over the region that the loop reaches from its starts that it needs several pieces.
+    """Whether the region that the loop reaches from its starts needs several pieces, since K_P varies much over it.
 
-    The region is estimated by the loop linearised at sigma = e = 0.
+    The region is estimated by the loop linearised at sigma = e = 0; False if this loop is not stable.
     """
     setting = setting_of(problem, box)
     if setting is None:
@@ -212,6 +212,10 @@ def halves(box: Box, problem: ProofProblem) -> list[Box]:
 
     The eigenvalues are those of the loop linearised at sigma = e = 0. The interval is cut at the geometric mean of its
     ends if both are positive, otherwise in its middle.
+
+    Args:
+        box: Intervals of k_p, a_p and 1/mu, at least one of them with a width.
+        problem: The loop and its uncertain numbers.
     """
     gains = gain_hull(problem, NEAR_ORIGIN, NEAR_ORIGIN)
 
@@ -233,7 +237,12 @@ def halves(box: Box, problem: ProofProblem) -> list[Box]:
 
 
 def volume(box: Box, problem: ProofProblem) -> float:
-    """Share of the problem's box that a smaller box takes by volume, 0 to 1; 1/mu counts on a logarithmic scale."""
+    """Share of the problem's box that a smaller box takes by volume, 0 to 1; 1/mu counts on a logarithmic scale.
+
+    Args:
+        box: The smaller box, within the problem's box.
+        problem: The loop, whose intervals without width are ignored.
+    """
     share = 1.0
     for name, (lowest, highest) in problem.box.items():
         if lowest < highest:

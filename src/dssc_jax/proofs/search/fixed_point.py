@@ -92,7 +92,7 @@ class FittedBounds(NamedTuple):
 
     Args:
         mapping: The map y -> h + M y.
-        bounds: Its fixed point y, shape (signals,).
+        bounds: y, the fixed point of this map, shape (signals,).
     """
 
     mapping: BoundsMap
@@ -103,7 +103,7 @@ def fixed_point(origin: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
     """The smallest bounds y with h + M y <= y, enlarged a little so that all are positive, shape (signals,).
 
     Args:
-        origin: h, bounds of the responses to the inputs and, if it counts, to the start, shape (signals,).
+        origin: h, bounds of the responses to the inputs and, from the start on, to the start, shape (signals,).
         matrix: M, the factors by which bounds of the signals increase the implied bounds, shape (signals, signals).
 
     Returns:

@@ -145,7 +145,14 @@ def implicit_gains(
 
 @jax.jit
 def mean_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar) -> jax.Array:
-    """phi_1/sigma, the mean of K_P over [0, sigma], at points (sigma, e), shape (points,)."""
+    """phi_1/sigma, the mean of K_P over [0, sigma], at points (sigma, e), shape (points,).
+
+    Args:
+        functions: The state-dependent functions, whose integral phi_1 must be known.
+        s: sigma [m/s], shape (points,).
+        e: e [m], shape (points,).
+        l0: Error pole [1/s].
+    """
     return jnp.broadcast_to(functions.law(s, e, functions.at(s, e, l0)).gain, s.shape)
 
 

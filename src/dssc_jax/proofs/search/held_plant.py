@@ -125,7 +125,13 @@ def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> HeldSam
 
 
 def held_matrix(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:
-    """[[F, G], [0, 0]], whose exponential solves the held plant, at a_p and 1/mu [1/s]; shape (n - 1, n - 1)."""
+    """[[F, G], [0, 0]], shape (n - 1, n - 1); its exponential solves the held plant.
+
+    Args:
+        problem: The loop and its uncertain numbers.
+        a_p: Damping [1/s].
+        rate: 1/mu [1/s] of G(mu s); unused without a transfer function.
+    """
     f, g = held_plant(problem, a_p, rate)
     size = f.shape[0]
     generator = np.zeros((size + 1, size + 1))

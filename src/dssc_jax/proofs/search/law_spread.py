@@ -91,6 +91,10 @@ def law_spreads(problem: ProofProblem, region: StageRegion) -> list[LawSpread]:
 
     The implicit form always has the way by its gains, with the coordinate v. If the integral phi_1 is known, it also
     has the two ways with q. The conservative form has these two ways only.
+
+    Args:
+        problem: The loop, with its sampled form and functions.
+        region: Bounds of |sigma|, |e| and the change of sigma in a sample; the change must not be 0.
     """
     points = gain_points(problem, region.sigma, region.e)
     hull = {name: with_room(column) for name, column in points.columns.items()}
@@ -135,7 +139,7 @@ def ratio_spread(problem: ProofProblem, hull: Hull, half_width: dict[str, float]
         problem: The loop with its sample time T_s and the form of its law.
         hull: Interval of each gain in the region, by name.
         half_width: Half of each interval's width, by name.
-        change_ratio: R(0)/C, by which |sigma - s| adds to q in the implicit form; 0 in the conservative one.
+        change_ratio: R(0)/C, the factor of |sigma - s| in the deviation of q's increment; 0 in the conservative form.
     """
     is_implicit = problem.form == "implicit"
     slide_change = half_width["slide_p"] if is_implicit else 0.0  # slide_hull bounds it in the conservative form

@@ -104,7 +104,13 @@ def function_distances(
 
 
 def largest_at_points(problem: Problem, points: Sequence[float], lines: StraightLines) -> Balls:
-    """Lower bounds of the largest distances at points of |sigma| [m/s], by name."""
+    """Lower bounds of the largest distances over the whole region, from their values at some points, by name.
+
+    Args:
+        problem: The certificate's problem, with functions of sigma alone.
+        points: Values of |sigma| [m/s].
+        lines: The straight lines.
+    """
     largest = dict.fromkeys(DISTANCES, arb(0))
     for point in points:
         for name, distance in distances_at(problem, (point, point), lines).items():

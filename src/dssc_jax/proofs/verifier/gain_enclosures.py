@@ -105,6 +105,9 @@ def gains_by_sigma(problem: Problem, sigma: float, sigma_from: float) -> Balls:
 
     A piece of |sigma| is halved at its middle in |sigma|^(1/2) if a ball of it exceeds the hull of the gains at points
     by more than a small share of the hull's width.
+
+    Raises:
+        Rejected: The functions cannot be enclosed in the region.
     """
     pieces = [(sigma_from, sigma)]
     points = PointHull(problem)

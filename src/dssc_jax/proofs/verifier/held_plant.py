@@ -327,6 +327,13 @@ def held_spread(problem: Problem, box: Box) -> list[list[arb]]:
 
     By the mean value theorem the distance is at most the sum, over a_p and 1/mu, of half of the interval's width times
     the largest |derivative|.
+
+    Args:
+        problem: The certificate's problem.
+        box: Intervals of k_p, a_p and 1/mu; k_p is not used.
+
+    Returns:
+        Rows of a matrix, shape (n - 1, n - 1).
     """
     generator = generator_over(problem, box) * arb(problem["sample_time"])
     size = generator.nrows()

@@ -1,4 +1,8 @@
-"""(P0) The form of a certificate: its entries, types, shapes and signs are checked before anything is computed."""
+"""(P0) The form of a certificate: its entries, types, shapes and signs are checked before anything is computed.
+
+Most functions take a value of the file that was not checked before, and raise ``Rejected`` if the value breaks a
+rule. An argument ``place`` names the entry in the message.
+"""
 
 import math
 import sys

@@ -105,7 +105,7 @@ class ChannelBuilder:
     """
 
     def __init__(self, count: int, *, lag: bool) -> None:
-        """Begin with chi' = 0, no remainders and no signals."""
+        """Begin with chi' = 0, without remainders and signals."""
         m = count + lag
         self.states = np.eye(m)
         self.dynamics = np.zeros((m, m))

@@ -126,7 +126,13 @@ def law_problem(problem: VehicleProblem, channel: ChannelProblem) -> ProofProble
 
 
 def points_of(problem: VehicleProblem, name: str, sigma: float) -> GainPoints:
-    """Evaluate the gains of a channel's functions at points with |sigma| up to ``sigma``; they do not depend on e."""
+    """Evaluate the gains of a channel's functions, which do not depend on e, at points of a region of |sigma|.
+
+    Args:
+        problem: The vehicle.
+        name: Name of the channel.
+        sigma: Largest |sigma| [m/s; rad/s in psi]; below ``SMALLEST_REGION`` the latter is used.
+    """
     return gain_points(law_problem(problem, problem.channels[name]), max(sigma, SMALLEST_REGION), e=0.0)
 
 

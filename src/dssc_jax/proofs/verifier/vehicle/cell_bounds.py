@@ -90,7 +90,15 @@ def inputs_in_cells(vehicle: Vehicle, bounds: Sequence[SignalBalls]) -> list[Inp
 
 
 def responses_in_cells(vehicle: Vehicle, cells: CellsProof | None) -> dict[str, CellResponses]:
-    """The responses of each channel in the time cells of a proof, by channel; empty if the proof has no time cells."""
+    """The responses of each channel in the time cells of a proof, by channel.
+
+    Args:
+        vehicle: The linear channels and their responses.
+        cells: The time cells; None: the proof has none, and the result is empty.
+
+    Raises:
+        Rejected: The responses of a channel decay too slowly.
+    """
     if cells is None:
         return {}
     count = number_of_cells(cells)

@@ -210,7 +210,13 @@ def rotor_rate(problem: VehicleProblem) -> arb | None:
 
 
 def kinematics(e: arb_mat, e_dot: arb_mat, l0: arb) -> Rows:
-    """The rows of e, e' and sigma = e' + l_0 e, the signals that the controller measures, by name."""
+    """The rows of e, e' and sigma = e' + l_0 e, the signals that the controller measures, by name.
+
+    Args:
+        e: Row of e.
+        e_dot: Row of e'.
+        l0: Error pole l_0 [1/s].
+    """
     return {"e": e, "e_dot": e_dot, "sigma": e_dot + e * l0}
 
 

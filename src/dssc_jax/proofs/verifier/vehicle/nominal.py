@@ -59,7 +59,7 @@ class ChannelFlight(NamedTuple):
     """The nominal flight in one channel.
 
     Args:
-        bounds: N, bounds of the flight's signals and of its differences, by name.
+        bounds: N, bounds of the flight's signals and of the differences in :class:`AxisInputs`, by name.
         starts: For each axis, the known part of the vehicle's z_0 less the flight's z_0, shape (m, 1). E_0 and V_0
             bound the unknown part of the vehicle's z_0.
     """

@@ -96,7 +96,7 @@ class PhaseSignal(NamedTuple):
 
 
 class ChannelObservation(NamedTuple):
-    """A sampled channel whose V falls, its signals, and the columns of its inputs and starts.
+    """A sampled channel for which V = z'Pz falls, its signals, and the columns of its inputs and starts.
 
     Args:
         channel: The linear channel.

@@ -181,7 +181,13 @@ def require_implied(cells: Sequence[SignalBalls], implied: Sequence[SignalBalls]
 
 
 def sigma_slope(name: str, bounds: SignalBalls, inputs: Inputs) -> arb:
-    """S', a bound of abs(sigma') of a channel between the samples [m/s^2; rad/s^2 in psi]."""
+    """S', a bound of abs(sigma') of a channel between the samples [m/s^2; rad/s^2 in psi].
+
+    Args:
+        name: Name of the channel.
+        bounds: Bounds of the vehicle's signals, of which ``bend``, the linear part of sigma', is used.
+        inputs: Bounds of the inputs, of which the remainder in sigma' and, in z, the constant are used.
+    """
     slope = bounds[name]["bend"] + inputs.remainders.channels[name][REMAINDER_OF_SIGMA[name]]
     return slope + inputs.remainders.constant if name == "z" else slope
 

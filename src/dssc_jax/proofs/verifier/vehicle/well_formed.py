@@ -1,4 +1,8 @@
-"""(V0) The form of a vehicle's certificate: it is checked before anything is computed."""
+"""(V0) The form of a vehicle's certificate, which is checked before anything is computed.
+
+Most functions take a value of the file that was not checked before, and raise ``Rejected`` if the value breaks a
+rule. An argument ``place`` names the entry in the message, and ``name`` the channel.
+"""
 
 import math
 from typing import Any, cast
