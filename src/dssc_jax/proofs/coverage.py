@@ -184,7 +184,8 @@ def disturbance_of(study: Study, ends: Ends) -> DisturbanceBounds:
         ends: The loop's parameters at the lower and the upper ends of all laws.
 
     Raises:
-        NotCovered: A bound is not known.
+        NotCovered: A bound of the disturbance or of its derivative is not known, or a disturbance acts elsewhere than
+            the command does.
     """
     require_no_inputs(study.loop)
     model = study.loop.disturbance[0]

@@ -81,7 +81,10 @@ class VehicleProved:
         return VEHICLE_REASONS[self.failure] + detail
 
     def summary(self) -> JsonObject:
-        """Make a table of the outcome, in JSON's types and SI units, with the bounds of :func:`stated_bounds`."""
+        """Make a table of the outcome, in JSON's types and SI units.
+
+        It has the tables of :func:`dssc_jax.proofs.vehicle_words.stated_bounds`, or None in their place.
+        """
         no_bounds = {"bounds": None, "settled": None}
         return {
             "proved": self.complete,

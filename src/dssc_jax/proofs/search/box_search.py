@@ -55,7 +55,7 @@ class Proof:
 
 
 class Failure(NamedTuple):
-    """A box without a proof, and the step of a proof that fails in it."""
+    """A box without a proof, and the condition that the search could not meet in this box."""
 
     box: Box
     reason: Obstacle

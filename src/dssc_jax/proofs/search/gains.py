@@ -157,7 +157,7 @@ def mean_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar) -> jax.Ar
 
 
 def increment_errors(problem: ProofProblem, size: np.ndarray, change: float) -> np.ndarray:
-    """R(sigma), a bound of the error of the implicit form's increment of v as a change of phi_1 over a sample [m/s].
+    """R(sigma), a bound of the difference of the implicit form's increment of v from the change of phi_1 [m/s].
 
     R is the largest |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| over |sigma - s| <= C. K_P falls with |sigma|
     and is convex in it. So for |sigma| < C the value at sigma = 0 is a bound. Elsewhere the largest value is that of

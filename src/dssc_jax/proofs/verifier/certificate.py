@@ -41,8 +41,8 @@ class Stage(TypedDict):
 
     sigma: float  # bound of |sigma| [m/s] in the region
     e: float  # bound of |e| [m] in the region
-    level: float  # bound of |d| [m/s], with what the state adds
-    slope: float  # bound of |d'| [m/s^2], with what the state adds
+    level: float  # bound of |d| [m/s], including the state's share
+    slope: float  # bound of |d'| [m/s^2], including the state's share
     rate: float  # lambda [1/s], with which V = z'Pz falls
     p: Sequence[Sequence[float]]  # P, by rows
     method: str

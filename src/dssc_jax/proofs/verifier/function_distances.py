@@ -150,7 +150,7 @@ def distances_at(problem: Problem, size: SizeInterval, lines: StraightLines) -> 
 
 
 def increment_error(problem: Problem, low: float, change: float) -> arb:
-    """R, a bound of the error of the implicit form's increment of v as a change of phi_1 over a sample [m/s], a ball.
+    """R, a bound of the difference of the implicit form's increment of v from the change of phi_1 in a sample [m/s].
 
     R bounds |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| for |sigma| >= low and |sigma - s| <= C. The functions
     have k_o tau_av = alpha (|sigma|^(1/2) + beta), so K_P falls with |sigma| and is convex in it; docs/proofs.md has
@@ -159,7 +159,7 @@ def increment_error(problem: Problem, low: float, change: float) -> arb:
     Args:
         problem: The certificate's problem.
         low: Smallest |sigma| [m/s].
-        change: C [m/s].
+        change: C, the largest change of sigma in a sample [m/s].
     """
     if low < change:  # R = K_P(0) C - phi_1(C)
         return gains_at(problem, (0.0, 0.0))["k_p"] * arb(change) - phi_1(problem, change)

@@ -52,7 +52,7 @@ class PointHull:
             self.ends[name] = (min(low, value), max(high, value))
 
     def rooms(self) -> dict[str, float]:
-        """The excess of a ball over the interval of its gain that is allowed, by the gain's name."""
+        """The largest allowed excess of a ball over the interval of its gain, by the gain's name."""
         return {
             name: PRECISE * (high - low) + ROUNDING * max(abs(low), abs(high)) + SMALLEST_ROOM
             for name, (low, high) in self.ends.items()

@@ -23,7 +23,7 @@ PIECES = 64
 
 
 class StateShare(NamedTuple):
-    """Bounds of what the state adds to a disturbance.
+    """Bounds of the state's share of a disturbance, which depends on the state as in (30).
 
     Args:
         level: Bound of the state's share of |d| [m/s].

@@ -76,7 +76,7 @@ class VehicleBounds:
 
     @property
     def error(self) -> float:
-        """Bound of the horizontal error |e| [m]."""
+        """Bound of |e| along x and along y [m], by which outcomes are compared."""
         return self.totals["x"]["e"]
 
     @property

@@ -228,7 +228,12 @@ def cell_search(
 ) -> CellSearch | None:
     """Compute the data for the search in all cells; None if a channel is unstable or its responses last too long.
 
-    The arguments are those of :func:`bounds_cell_by_cell`, with a damping by drag in place of ``settled``.
+    Args:
+        problem: The vehicle.
+        damping: Damping by drag in all cells.
+        lines: The straight lines of each channel.
+        layout: The division of time into cells.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
     """
     linear = linear_channels(problem, damping)
     if not is_stable(problem, linear, lines):

@@ -204,7 +204,7 @@ class InputPhasors:
 
 
 def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
-    """The phasors at one frequency [Hz] of the known motion along an axis; 0 where it has no such frequency."""
+    """The phasors of the known motion along an axis at one frequency [Hz]; 0 for a motion without this frequency."""
     i_omega = 1j * angular_frequency(frequency)
     speed = i_omega * inputs.reference.get(frequency, 0.0)
     known_remainders = {key: waves.get(frequency, 0.0) for key, waves in inputs.known_remainders.items()}

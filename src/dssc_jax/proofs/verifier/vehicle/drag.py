@@ -34,7 +34,7 @@ class DragRegion(NamedTuple):
         mass_low: M_-, the smallest mass [kg].
         mass_high: M_+, the largest mass [kg].
         across: V, bound of the air's relative speed across v [m/s]: V_z in the plane, V_h along z.
-        by_rotors: x_0, the propellers' share [1/s].
+        by_rotors: x_0, the propellers' share of the factor x [1/s].
     """
 
     speed: arb

@@ -181,7 +181,7 @@ class InputPhasors(NamedTuple):
 
 
 def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
-    """The phasors at one frequency [Hz] of the known motion along an axis; 0 where it has no such frequency."""
+    """The phasors of the known motion along an axis at one frequency [Hz]; 0 for a motion without this frequency."""
     i_omega = acb(0, angular_frequency(frequency))
     speed = i_omega * inputs.reference.get(frequency, acb(0))
     known_remainders = {name: waves.get(frequency, acb(0)) for name, waves in inputs.known_remainders.items()}

@@ -250,7 +250,7 @@ class CurvedColumn(NamedTuple):
 
 
 def pieces_of(problem: VehicleProblem) -> int:
-    """Number of pieces of a sample; more pieces give a smaller bound, and a short rotor lag needs more."""
+    """Number of pieces of a sample for integrals; every number gives a valid bound, a short rotor lag needs more."""
     lag = problem["rotor_lag"]
     if lag <= 0:
         return PIECES
@@ -378,7 +378,7 @@ def response_of(i: int, observation: ChannelObservation, bounds: ResponseBounds,
 
 
 def integral_within(channel: Channel, phase_signal: PhaseSignal, curve: CurvedColumn) -> arb:
-    """Bound of the effect of a remainder of size 1 on a signal in the same sample; 0 for u_av, which precedes it.
+    """Bound of the effect of a remainder of size 1 on a signal in the same sample; 0 for u_av, taken at its beginning.
 
     The bound is that of the integral of |C e^(A_c r) b| over r from 0 to the signal's phase.
 
