@@ -60,7 +60,7 @@ class SignalRows(NamedTuple):
         e: The measured e.
         sigma: The measured sigma.
         change: sigma - s, the change of sigma in a sample.
-        v: v, or q in its place.
+        v: v, or q if z contains q in place of v.
         s: s, the sigma of the sample before.
     """
 

@@ -284,11 +284,12 @@ def box_sides(problem: Problem, box: Box) -> list[BoxSide]:
 def taylor_terms(generator: arb_mat, slope: arb_mat, order: int) -> list[arb_mat]:
     """The terms 0 to ``order`` of exp(W + x D) as a power series in x.
 
-    They are the first row of blocks of exp of the matrix with W in each diagonal block and D in each block beside it.
+    The terms are the first row of blocks of exp(M), where the block matrix M has W in each diagonal block and D in each
+    block to the right of the diagonal.
 
     Args:
-        generator: W.
-        slope: D.
+        generator: W, a square matrix.
+        slope: D, of the same shape.
         order: Order of the last term.
     """
     size = generator.nrows()

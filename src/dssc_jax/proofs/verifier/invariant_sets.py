@@ -62,7 +62,7 @@ class StageSet(NamedTuple):
         box: Intervals of k_p, a_p and 1/mu.
         stage: The stage.
         p: P, shape (n, n).
-        inverse: The inverse of P.
+        inverse: The inverse of P, shape (n, n).
         gains: Balls of the gains in the stage's region.
         label: Place of the stage, for messages.
     """

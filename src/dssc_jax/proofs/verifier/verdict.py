@@ -117,7 +117,7 @@ def require_cover(problem: Problem, boxes: Sequence[Box]) -> None:
     intervals = {"k_p": problem["k_p"], "a_p": problem["a_p"]}
     if problem["denominator"]:
         low, high = problem["mu"]
-        intervals["rate"] = (1.0 / high, 1.0 / low)
+        intervals["rate"] = (1.0 / high, 1.0 / low)  # rounded to float64, as the problem's box is
     require_premise(bool(boxes), "P1: no box")
     grids = []
     for name, (low, high) in intervals.items():
