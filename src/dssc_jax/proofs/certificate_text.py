@@ -47,16 +47,16 @@ def refuse_constant(text: str) -> float:
     """Refuse NaN and Infinity, which JSON does not have.
 
     Raises:
-        ValueError: always.
+        ValueError: Always.
     """
     raise ValueError(f"{text} is not a finite number")
 
 
 def finite_value(text: str) -> float:
-    """Read a number of float64.
+    """Read a number with a decimal point or an exponent as float64.
 
     Raises:
-        ValueError: It is too large.
+        ValueError: The number exceeds the range of float64.
     """
     value = float(text)
     if not math.isfinite(value):
@@ -68,7 +68,7 @@ def whole_number(text: str) -> int:
     """Read an integer, which must not exceed the range of float64.
 
     Raises:
-        ValueError: It is too large.
+        ValueError: The integer exceeds this range, or has more than ``MOST_DIGITS`` characters.
     """
     if len(text) > MOST_DIGITS or math.isinf(float(text)):
         raise ValueError(f"{text[:12]}... is too large a number")

@@ -1,4 +1,4 @@
-"""From a study to the problem of a proof: check that its parts are covered, and reduce its loop to plain numbers."""
+"""Make the problem of a proof from a study: check that a proof covers its parts, and extract plain numbers."""
 
 import math
 from collections.abc import Iterable
@@ -38,7 +38,7 @@ LARGEST_NUMBER = 1e100
 UNCERTAIN = ("plant.k_p", "plant.a_p", "unmodelled.0.mu")
 """Paths, in the loop's parameters, of the numbers that a proof covers over an interval."""
 BOUNDED_SIGNALS = ("plant.initial", "disturbance.", "reference.")
-"""Beginnings of the names of uncertain numbers that only bound a start or a signal."""
+"""Beginnings of the names of numbers that only enter a problem through the bounds of a start or a signal."""
 LAGS = {
     LAG.members[Order.ONE]: ((1.0,), (1.0, 1.0)),
     LAG.members[Order.TWO]: ((1.0,), (1.0, 2.0, 1.0)),
@@ -52,7 +52,9 @@ AnyProblem: TypeAlias = ProofProblem | VehicleProblem
 
 
 def problem_of(study: Study) -> AnyProblem:
-    """The problem of a study without its sweep: what is to be proved. Laws become the intervals of their support.
+    """Make the problem of a study, a loop of the class (5)-(8) or a vehicle; its sweep is ignored.
+
+    The support of each law becomes an interval of the problem.
 
     Raises:
         NotCovered: A part of the loop is outside of what a proof covers; the message gives the reason.
@@ -61,7 +63,9 @@ def problem_of(study: Study) -> AnyProblem:
 
 
 def axis_problem_of(study: Study) -> ProofProblem:
-    """The problem of a loop of the class (5)-(8); the laws of k_p, a_p and mu become the intervals of their support.
+    """Make the problem of a loop of the class (5)-(8); its sweep is ignored.
+
+    The supports of the laws of k_p, a_p and mu become intervals. Other laws widen the bounds of a start or a signal.
 
     Raises:
         NotCovered: A part of the loop is outside of the class; the message gives the reason.
@@ -109,7 +113,7 @@ def axis_problem_of(study: Study) -> ProofProblem:
 
 
 def require_squares(problem: ProofProblem) -> None:
-    """Require that float64 holds the square of every number of a problem.
+    """Require that the square of every number of a problem is finite in float64.
 
     Raises:
         NotCovered: A number is too large.
@@ -120,10 +124,11 @@ def require_squares(problem: ProofProblem) -> None:
 
 
 def require_covered_laws(study: Study) -> None:
-    """Require that each uncertain number is one that a proof covers over an interval, and has bounded support.
+    """Require that a proof covers every uncertain number of a study over an interval, and that its law has bounds.
 
     Raises:
-        NotCovered: An uncertain number is another one, has no bounds, or is a parameter from which numbers follow.
+        NotCovered: A proof does not cover an uncertain number, its law has no bounds, or the number is a parameter of
+            the study rather than a number of the loop.
     """
     for name, law in study.written_laws.items():
         if name in study.parameter_names:
@@ -141,7 +146,7 @@ def require_covered_laws(study: Study) -> None:
 
 
 def numbers_in(value: object) -> list[float]:
-    """All numbers in a field of a problem, however deep in tables and tuples; text and None are left out."""
+    """List all numbers in a field of a problem, at any depth of its tables and tuples; text and None are left out."""
     if isinstance(value, int | float):
         return [value]
     items: Iterable[object] = ()
@@ -159,8 +164,8 @@ class DisturbanceBounds(NamedTuple):
     """Bounds of a study's disturbance.
 
     Args:
-        level: Bound of |d| [m/s], of the part that does not depend on the state.
-        slope: Bound of |d'| [m/s^2], of the same part.
+        level: Bound of |d| [m/s] for the part that does not depend on the state.
+        slope: Bound of |d'| [m/s^2] for the same part.
         by_state: k_d1 to k_d5 of (30), by which the disturbance grows with the state.
     """
 
@@ -170,12 +175,17 @@ class DisturbanceBounds(NamedTuple):
 
 
 def disturbance_of(study: Study, ends: Ends) -> DisturbanceBounds:
-    """The bounds of a study's disturbance.
+    """Return the bounds of a study's disturbance.
 
     A step after t = 0 is refused, since its slope has no bound.
 
+    Args:
+        study: The study, with a single channel.
+        ends: The loop's parameters at the lower and the upper ends of all laws.
+
     Raises:
-        NotCovered: A bound is not known.
+        NotCovered: A bound of the disturbance or of its derivative is not known, or a disturbance acts elsewhere than
+            the command does.
     """
     require_no_inputs(study.loop)
     model = study.loop.disturbance[0]
@@ -184,6 +194,7 @@ def disturbance_of(study: Study, ends: Ends) -> DisturbanceBounds:
             raise NotCovered("a step")
         bounds = disturbance_bounds(model, ends.part("disturbance", 0))
     except NotCovered:
+        # the step's own message, above, never leaves this function
         raise NotCovered("the disturbance's derivative has no known bound") from None
     gains = tuple(float(bounds.get(f"k_d{i}", 0.0)) for i in range(1, 6))
     slope = float(bounds.get("alpha_d2", 0.0)) + float(bounds.get("alpha_d3", 0.0))
@@ -195,7 +206,12 @@ def disturbance_of(study: Study, ends: Ends) -> DisturbanceBounds:
 
 
 def sensor_lag(sensor: Sensor, differentiator: Differentiator, ends: Ends) -> float:
-    """Time constant of the lag through which sigma is measured [s]; 0 for an ideal sensor.
+    """Return the time constant [s] of the lag through which sigma is measured; 0 for an ideal sensor.
+
+    Args:
+        sensor: The loop's sensor.
+        differentiator: The loop's differentiator; only its absence is covered.
+        ends: The loop's parameters at the lower and the upper ends of all laws.
 
     Raises:
         NotCovered: Sigma is measured in another way, or the time constant is uncertain.
@@ -212,10 +228,16 @@ def sensor_lag(sensor: Sensor, differentiator: Differentiator, ends: Ends) -> fl
 
 
 def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
-    """Intervals of e, e' and eta at t = 0: the plant's initial state less the reference's.
+    """Return the intervals of e [m], e' [m/s] and each component of eta at t = 0.
+
+    They are the plant's initial state less the reference's y_m and y_m'. Initial values that are not given are 0.
+
+    Args:
+        study: The study, whose reference must be certain.
+        ends: The loop's parameters at the lower and the upper ends of all laws.
 
     Raises:
-        NotCovered: The reference is uncertain, and so is where it starts.
+        NotCovered: A number of the reference is uncertain, so that the reference's start is not known.
     """
     if any(name.startswith("reference.") for name in study.written_laws):
         raise NotCovered("the reference's start is uncertain")
@@ -233,13 +255,19 @@ def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
 
 
 def with_zeros(values: Iterable[float], size: int) -> tuple[float, ...]:
-    """Some values, then zeros, ``size`` numbers in all."""
+    """Return some values followed by as many zeros as make ``size`` numbers."""
     first_values = tuple(values)
     return first_values + (0.0,) * (size - len(first_values))
 
 
 def unmodelled_of(study: Study, ends: Ends) -> JsonObject:
-    """The fields of a problem for the unmodelled dynamics: numerator and denominator of G(mu s), mu, and the delay.
+    """Make the fields of a problem for the unmodelled dynamics: ``numerator``, ``denominator``, ``mu`` and ``delay``.
+
+    A loop has G(mu s), a fixed delay [samples] or neither. The fields of absent dynamics are empty or 0.
+
+    Args:
+        study: The study, with a single channel.
+        ends: The loop's parameters at the lower and the upper ends of all laws.
 
     Raises:
         NotCovered: The unmodelled dynamics are neither a lag, a transfer function nor a known delay.
@@ -265,10 +293,10 @@ def unmodelled_of(study: Study, ends: Ends) -> JsonObject:
 
 
 def controller_of(study: Study) -> JsonObject:
-    """The fields of a problem for the controller: l_0, form, functions, rho, nominal control and start.
+    """Make the controller's fields of a problem: ``l0``, ``nominal``, ``form``, ``functions``, ``rho`` and ``start``.
 
     Raises:
-        NotCovered: The controller, or one of its options, is outside of the class.
+        NotCovered: The controller is not DSSC, SSC or PI, or a proof does not cover one of its options.
     """
     member = study.loop.controller[0]
     gains = study.template.controller[0]
@@ -280,7 +308,13 @@ def controller_of(study: Study) -> JsonObject:
 
 
 def pi_content(member: Controller, gains: PiGains) -> JsonObject:
-    """The fields of a problem for PI, which is DSSC with constant functions and without a bound of the command.
+    """Make the fields of a problem for PI, which is DSSC with constant functions and without a bound of the command.
+
+    The constants are chosen so that the gains of DSSC, 1/(k_o tau_av) and 1/(k_o tau_av tau_m), equal K_P and K_I.
+
+    Args:
+        member: The sampled form of PI in the loop.
+        gains: The gains of PI.
 
     Raises:
         NotCovered: PI is not in its implicit form, or a gain is not positive.
@@ -304,10 +338,14 @@ def pi_content(member: Controller, gains: PiGains) -> JsonObject:
 
 
 def dssc_content(member: Controller, gains: DsscGains) -> JsonObject:
-    """The fields of a problem for DSSC or SSC.
+    """Make the fields of a problem for DSSC or SSC.
+
+    Args:
+        member: The controller of the loop, which tells the sampled form.
+        gains: The gains of the controller.
 
     Raises:
-        NotCovered: The sampled form or an option is outside of the class.
+        NotCovered: A proof does not cover the sampled form or an option of the controller.
     """
     forms = (Discretisation.IMPLICIT, Discretisation.CONSERVATIVE)
     form = next((form for form in forms if member in (DSSC.members[form], SSC.members[form])), None)

@@ -1,4 +1,4 @@
-"""The problem of a proof, in plain numbers: one loop with intervals, from a study and into a certificate's file."""
+"""The problem of a proof: one loop with intervals, in plain numbers, read from a study and stored in a certificate."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -28,9 +28,9 @@ class NominalControl(NamedTuple):
     """The nominal control u_n of a loop.
 
     Args:
-        a: a_n [1/s].
-        k: k_n.
-        predictor_term: Whether u_n has its term 1/tau_m.
+        a: a_n, the believed damping of the plant [1/s].
+        k: k_n, the believed high-frequency gain of the plant [1/s].
+        predictor_term: Whether the gain of sigma in u_n contains the term 1/(k_n tau_m).
     """
 
     a: float
@@ -42,11 +42,13 @@ class NominalControl(NamedTuple):
 class ProofProblem:
     """A sampled loop of the class (5)-(8) with intervals for its uncertain numbers.
 
+    The units are those of a loop whose output is a length [m] and whose command is a velocity [m/s].
+
     Args:
         sample_time: T_s [s].
         l0: Error pole [1/s].
         form: Sampled form of DSSC, ``implicit`` or ``conservative``.
-        functions: Kind and constants of the state-dependent functions.
+        functions: Kind of the state-dependent functions, in the entry ``kind``, and their constants by name.
         rho: Bound of the switched control [m/s]; None: the command has no bound (PI).
         nominal: The nominal control; None: there is none.
         k_p: Interval of the high-frequency gain [1/s].
@@ -54,12 +56,13 @@ class ProofProblem:
         zero_a: Characteristic coefficients of the zero dynamics, ascending; empty for order two.
         zero_c: Output row of the zero dynamics.
         numerator: Numerator of G(mu s), the unmodelled dynamics, in rising powers of mu s; empty for none.
-        denominator: Denominator in rising powers; both begin with the same number, so that G(0) = 1.
+        denominator: Denominator of G(mu s) in rising powers of mu s. Its first coefficient equals the numerator's first
+            one, so that G(0) = 1.
         mu: Interval of the time constant mu [s]; (0, 0) for none.
         delay: Delay of the command, in samples; not together with G.
         sensor_lag: Time constant [s] of the lag through which y and y' are measured; 0 for none.
-        level: Bound of |d| [m/s], of the part that does not depend on the state.
-        slope: Bound of |d'| [m/s^2], of the same part.
+        level: Bound of |d| [m/s] for the part of the disturbance that does not depend on the state.
+        slope: Bound of |d'| [m/s^2] for the same part.
         reference: Bounds of the reference's first three derivatives [m/s, m/s^2, m/s^3].
         initial: Interval of each component of the initial state (e, e', eta).
         start: Where the predictor starts: ``zero``, ``matched`` (at sigma) or ``midpoint`` (half a sample earlier).
@@ -91,7 +94,10 @@ class ProofProblem:
     reference_size: float = 0.0
 
     def __hash__(self) -> int:
-        """A hash of the main numbers, by which results are cached; the table ``functions`` has no hash of its own."""
+        """Hash the main numbers only, for caches keyed by a problem: the table ``functions`` cannot be hashed.
+
+        Problems that differ in the other fields share a hash, and a cache then compares them.
+        """
         return hash((self.sample_time, self.l0, self.k_p, self.a_p, self.mu, self.delay))
 
     def to_dict(self) -> JsonObject:
@@ -100,7 +106,7 @@ class ProofProblem:
 
     @property
     def box(self) -> Box:
-        """The intervals of k_p, a_p and, with a transfer function, of 1/mu, over which the loop is to be proved."""
+        """The box over which the loop is to be proved: intervals of k_p, a_p and, with G(mu s), of 1/mu, all [1/s]."""
         box: Box = {"k_p": self.k_p, "a_p": self.a_p}
         if self.denominator:
             smallest_mu, largest_mu = self.mu
@@ -116,7 +122,8 @@ class ProofProblem:
 def delay_weights(delay: float) -> tuple[float, ...]:
     """Weights of the commands of ages 0, 1, ... samples in the command that acts on the plant; their sum is 1.
 
-    With a fraction of a sample the command changes within a sample. It acts as a weighted mean of two commands.
+    With a fractional delay the acting command changes once within a sample. A weighted mean of the two commands, held
+    over the whole sample, stands for it.
 
     Args:
         delay: Delay of the command, in samples.

@@ -1,4 +1,4 @@
-"""Prove a study's sampled loop: search a proof, verify it, and halve the boxes of uncertain numbers without one."""
+"""Prove a study's sampled loop: search for a proof, verify it, and halve every box of uncertain numbers without one."""
 
 import heapq
 import itertools
@@ -39,16 +39,16 @@ REASONS = {
 
 @dataclass(frozen=True)
 class Proved:
-    """What is proved of a loop of the class (5)-(8): boxes of its uncertain numbers, with bounds of |e|.
+    """The outcome for a loop of the class (5)-(8): the proved boxes of its uncertain numbers, and bounds of |e|.
 
     Args:
-        problem: What was to be proved.
-        proofs: The boxes that the verifier accepted.
-        failures: The boxes that were given up, with the reason.
-        error: Upper bound of |e| [m] at all times once settled, in the proved boxes; infinite if there are none.
+        problem: The problem that was to be proved.
+        proofs: The proofs that the verifier accepted, one for each proved box.
+        failures: The boxes that were given up, each with the reason.
+        error: Upper bound of |e| [m] at all times once settled, in the proved boxes; infinite if no box is proved.
         largest_error: Upper bound of |e| [m] from the start on; infinite if no box is proved.
         seconds: Computing time [s].
-        units: Units of the output and the command, for words.
+        units: Units of the output and the command, which the statement in words names.
     """
 
     problem: ProofProblem
@@ -96,7 +96,7 @@ class Proved:
         }
 
     def statement(self) -> str:
-        """The proved statement, in one sentence."""
+        """The proved statement in one sentence; if not all boxes are proved, it names the share of the plants."""
         if not self.proofs:
             return f"Nothing is proved: {self.reason}."
         box = with_mu(self.problem.box)
@@ -123,7 +123,7 @@ class Proved:
 
 
 def with_mu(box: Box) -> Box:
-    """The intervals of a box for people to read: with mu [s] in place of ``rate``, 1/mu [1/s]."""
+    """Convert a box for readers: an interval of the time constant mu [s] replaces that of ``rate``, 1/mu [1/s]."""
     intervals = {name: interval for name, interval in box.items() if name != "rate"}
     if "rate" in box:
         low, high = box["rate"]
@@ -132,7 +132,13 @@ def with_mu(box: Box) -> Box:
 
 
 def interval_text(name: str, interval: Interval, units: ChannelUnits) -> str:
-    """An uncertain number with its interval or value, and its unit, for a sentence."""
+    """A phrase such as ``mu in [0.01, 0.02] s``: an uncertain number, its interval or its only value, and its unit.
+
+    Args:
+        name: ``k_p``, ``a_p`` or ``mu``; any other name has the unit 1/s, as a_p.
+        interval: Lower and upper end; equal ends are written as one value.
+        units: Units of the output and the command, from which the unit of k_p follows.
+    """
     unit = {"mu": "s", "k_p": units.of("y/(s^2 u)")}.get(name, "1/s")
     low, high = interval
     return f"{name} = {low:g} {unit}" if low == high else f"{name} in [{low:g}, {high:g}] {unit}"
@@ -145,13 +151,16 @@ AnyProved: TypeAlias = Proved | VehicleProved
 def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], None] | None = None) -> AnyProved:
     """Prove that a study's sampled loop slides and stays near its reference, for all values of its uncertain numbers.
 
-    Laws become the intervals of their support. The box of intervals of a loop of the class (5)-(8) is halved where no
-    proof is found. Only what the verifier accepts counts as proved; see docs/proofs.md and docs/vehicle_proofs.md.
+    The support of each law becomes an interval. For a loop of the class (5)-(8), a box of intervals without a proof is
+    halved, and each half is tried. Only what the verifier accepts counts as proved; see docs/proofs.md and
+    docs/vehicle_proofs.md.
 
     Args:
-        study: A study of DSSC, SSC or PI on a plant (5)-(8), or of a vehicle that hovers; its sweep is ignored.
+        study: A study of DSSC, SSC or PI on a plant (5)-(8), or of a vehicle that hovers or flies the mission; its
+            sweep is ignored.
         boxes: Largest number of boxes that are tried; a vehicle is one box.
-        progress: Called with the boxes done and the boxes known.
+        progress: Called after each box with the number of boxes done, and of all boxes known so far. A vehicle does
+            not call it.
 
     Raises:
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
@@ -162,12 +171,13 @@ def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], No
 
 
 def prove_problem(problem: AnyProblem, boxes: int, progress: Callable[[int, int], None] | None = None) -> AnyProved:
-    """Prove the statement of a problem that was read from a study: a vehicle's in one piece, an axis's box by box.
+    """Prove a problem that was read from a study: a vehicle in one piece, a loop of the class (5)-(8) box by box.
 
     Args:
-        problem: What is to be proved.
+        problem: The problem that is to be proved.
         boxes: Largest number of boxes that are tried; a vehicle is one box.
-        progress: Called with the boxes done and the boxes known.
+        progress: Called after each box with the number of boxes done, and of all boxes known so far. A vehicle does
+            not call it.
 
     Raises:
         ConfigError: ``boxes`` is not positive.
@@ -180,15 +190,20 @@ def prove_problem(problem: AnyProblem, boxes: int, progress: Callable[[int, int]
 
 
 def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int], None] | None) -> Proved:
-    """Prove a loop of the class (5)-(8) for a box of uncertain numbers, in parts where one proof does not do.
+    """Prove a loop of the class (5)-(8) for a box of uncertain numbers, in smaller boxes where one proof is not enough.
 
-    The largest box without a proof is tried next. If none is found, it is halved, as long as no more than ``boxes``
-    boxes have to be tried in all.
+    Each step tries the largest box that is still open. A box without a proof is halved, unless it is a point or its
+    halves would make more than ``boxes`` boxes in all; then it counts as a failure.
+
+    Args:
+        problem: The loop and its uncertain numbers.
+        boxes: Largest number of boxes that are tried.
+        progress: Called after each box with the number of boxes done, and of all boxes known so far.
     """
     start_time = time.perf_counter()
     content = problem.to_dict()
     order = itertools.count()
-    # a heap, the largest volume first; the numbers decide between equal volumes
+    # a heap of (-volume, number, box): the largest volume first, then the smallest number. The whole box has volume 1
     pending_boxes: list[tuple[float, int, Box]] = [(-1.0, next(order), problem.box)]
     proofs: list[Proof] = []
     failures: list[Failure] = []
@@ -221,7 +236,7 @@ def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int],
 
 
 class VerifiedProof(NamedTuple):
-    """A proof for one box, and the verdict of the verifier, which accepts it."""
+    """A proof for one box that the verifier accepts, and the verifier's verdict with the bounds of |e|."""
 
     proof: Proof
     verdict: ProofVerdict
@@ -230,8 +245,8 @@ class VerifiedProof(NamedTuple):
 def proved_box(problem: ProofProblem, content: Mapping[str, object], box: Box) -> VerifiedProof | Failure:
     """Search for a proof for one box, and verify it.
 
-    If the verifier rejects a stage, the proof with the stages before it is tried. It is a proof, too, with a larger
-    final bound of |e|.
+    If the verifier rejects the proof, the last stage is dropped and the rest is verified again. The first stages alone
+    are a proof, too, with a larger final bound of |e|.
 
     Args:
         problem: The loop and its uncertain numbers.
@@ -250,7 +265,10 @@ def proved_box(problem: ProofProblem, content: Mapping[str, object], box: Box) -
 
 
 def check_certificate(content: object) -> ProofVerdict | VehicleVerdict:
-    """Verify the content of a certificate's file of either kind, without trust in whoever made it.
+    """Verify the content of a certificate's file, of a loop (5)-(8) or of a vehicle, without trust in its author.
+
+    Args:
+        content: The file's content, as it was read from JSON; any value is allowed.
 
     Raises:
         ConfigError: The content is no certificate of this program's version.

@@ -1,4 +1,7 @@
-"""Prove a vehicle that hovers or flies the mission: search, then verify. docs/vehicle_proofs.md has the theorem."""
+"""Prove a vehicle that hovers or flies the mission: search for a proof, then verify it.
+
+docs/vehicle_proofs.md has the theorem.
+"""
 
 import json
 import math
@@ -20,9 +23,9 @@ VEHICLE_VERSION = 2
 VEHICLE_KIND = "vehicle"
 """The entry ``kind`` of a vehicle's certificate."""
 INFLATION_FACTORS = (1.0, 10.0)
-"""Multiples of the usual widening of bounds for the verifier; the next one is tried if the verifier rejects."""
+"""Multiples of the usual widening of the found bounds; the next one is tried if the verifier rejects the bounds."""
 ROUNDED_START = 1e-9
-"""Bounds of a start [m], [m/s], [rad] that are only there for rounding."""
+"""Bounds of a start [m], [m/s], [rad] up to this size only cover rounding; a statement leaves them out."""
 VEHICLE_REASONS = {
     Obstacle.GAIN: "no bounds of the signals imply themselves",
     Obstacle.SLIDING: "the equivalent control may exceed rho",
@@ -32,11 +35,11 @@ VEHICLE_REASONS = {
 
 @dataclass(frozen=True)
 class VehicleProved:
-    """What is proved of a vehicle: bounds of its signals for every wind and vehicle within its intervals.
+    """The outcome for a vehicle: bounds of its signals, for every wind and vehicle within the problem's intervals.
 
     Args:
-        problem: What was to be proved.
-        proof: What the search found, as a certificate holds it; None: there is no proof.
+        problem: The problem that was to be proved.
+        proof: The proof that the verifier accepted, as a certificate holds it; None: there is no proof.
         verdict: The verifier's last verdict; None: the search found nothing to verify.
         failure: Why there is no proof: ``GAIN``, ``SLIDING`` or ``VERIFIER``; None if there is one.
         seconds: Computing time [s].
@@ -78,7 +81,10 @@ class VehicleProved:
         return VEHICLE_REASONS[self.failure] + detail
 
     def summary(self) -> JsonObject:
-        """Make a table of the outcome, in JSON's types, with bounds from the start on and once settled, in SI units."""
+        """Make a table of the outcome, in JSON's types and SI units.
+
+        It has the tables of :func:`dssc_jax.proofs.vehicle_words.stated_bounds`, or None in their place.
+        """
         no_bounds = {"bounds": None, "settled": None}
         return {
             "proved": self.complete,
@@ -124,7 +130,7 @@ class VehicleProved:
 
 
 def vehicle_words(problem: VehicleProblem) -> list[str]:
-    """Phrases of a statement, one for each that applies: intervals, a rotor lag, a delay, and starts away from rest."""
+    """List the phrases of a statement that apply to a vehicle: intervals, a rotor lag, a delay, a start off rest."""
     words = []
     if problem.thrust_deviation:
         words.append("every thrust over mass in [{:.4g}, {:.4g}] of the believed one".format(*problem.thrust))
@@ -142,21 +148,27 @@ def vehicle_words(problem: VehicleProblem) -> list[str]:
 
 
 def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObject:
-    """Make the content of a certificate's file, from a problem and a proof, or None for no proof."""
+    """Make the content of a certificate's file.
+
+    Args:
+        problem: The vehicle.
+        proof: The proof; None: there is no proof, and the verifier will reject the file.
+    """
     return {"version": VEHICLE_VERSION, "kind": VEHICLE_KIND, "problem": problem.to_dict(), "proof": proof}
 
 
 def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
-    """Search for bounds of a vehicle's signals that imply themselves, and verify them.
+    """Search for bounds of a vehicle's signals that imply themselves, and verify the bounds.
 
-    If the verifier rejects them, the search leaves more room and tries again. The verifier receives what a
-    certificate's file would contain, so that its verdict is the same for the file.
+    If the verifier rejects the bounds, the search widens them more and tries again. The verifier receives the content
+    of a certificate's file, so that it reaches the same verdict when it reads the file.
     """
     start_time = time.perf_counter()
     verdict: VehicleVerdict | None = None
     for inflation_factor in INFLATION_FACTORS:
         proof = search_proof(problem, inflation_factor)
         if isinstance(proof, Obstacle):
+            # with a verdict, a narrower proof was found before, and rejected
             failure = proof if verdict is None else Obstacle.VERIFIER
             return VehicleProved(
                 problem=problem, proof=None, verdict=verdict, failure=failure, seconds=time.perf_counter() - start_time
@@ -176,7 +188,10 @@ def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
 
 
 def search_proof(problem: VehicleProblem, inflation_factor: float) -> JsonObject | Obstacle:
-    """Search for bounds that imply themselves, in cells of time first if the vehicle starts away from its rest.
+    """Search for bounds that imply themselves.
+
+    A vehicle that may start away from its rest is first given bounds in each cell of time. If these are not found, and
+    for every other vehicle, the search looks for one bound of each signal at all times.
 
     Args:
         problem: The vehicle.

@@ -1,4 +1,4 @@
-"""How far along one number a study can be proved; each value of the number has a proof of its own."""
+"""Find how far one number of a study can move before the study is no longer proved; each value has its own proof."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,15 +23,16 @@ HALVINGS = 7
 
 @dataclass(frozen=True)
 class ProvedReach:
-    """How far along a number the proofs reach.
+    """The values of a number for which a study is proved, found by bisection from the safe end of a range.
 
     Args:
         name: Dotted name of the number.
-        values: Values that were tried, in order, and whether each is proved.
+        values: The tried values, in the order of the trials, each with whether the study is proved at this value.
         last: The proof at the last proved value; None if the safe end is not proved.
         proved: The last proved value; None if the safe end is not proved.
-        refused: The nearest value beyond it that is not proved; None if the whole range is proved.
-        reason: Why that value is not proved; empty if the whole range is.
+        refused: The first value that is not proved: the nearest tried one beyond ``proved``, or the safe end if
+            nothing is proved. None if the whole range is proved.
+        reason: Why ``refused`` is not proved; empty if the whole range is proved.
     """
 
     name: str
@@ -42,7 +43,7 @@ class ProvedReach:
     reason: str
 
     def statement(self) -> str:
-        """The outcome in one sentence."""
+        """The outcome in words, ending with the statement that is proved at the last proved value."""
         if self.last is None:
             return f"Not proved at the safe end {self.name} = {self.values[0][0]:g}: {self.reason}."
         last_value = f"{self.name} = {self.proved:.4g}, each value on its own"
@@ -51,7 +52,7 @@ class ProvedReach:
         return f"Proved up to {last_value}; not at {self.refused:.4g}: {self.reason}. {self.last.statement()}"
 
     def summary(self) -> JsonObject:
-        """The outcome as JSON's types."""
+        """A table of the outcome, in JSON's types, with the bound of |e| at the last proved value as ``error`` [m]."""
         return {
             "over": self.name,
             "proved_up_to": self.proved,
@@ -65,7 +66,10 @@ class ProvedReach:
 
 
 def covered_content(proof: AnyProved) -> JsonObject:
-    """What a proof covers, in words; of a vehicle's proof also the bounds of its signals."""
+    """Make a table of what a proof covers, for a summary.
+
+    The entry ``covered`` is in words. A vehicle's proof adds ``bounds`` and ``settled``, the bounds of its signals.
+    """
     summary = proof.summary()
     bounds = {name: summary[name] for name in ("bounds", "settled") if name in summary}
     return {"covered": proof.claim.covered, **bounds}
@@ -80,9 +84,10 @@ def proved_up_to(
     boxes: int = SWEEP_BOXES,
     progress: Callable[[int, int | None], None] | None = None,
 ) -> ProvedReach:
-    """The furthest value of a number at which the study is proved, by bisection from its safe end.
+    """Find the furthest value of a number at which the study is proved, by bisection from the range's safe end.
 
-    Every value is proved on its own: the statement is on loops with this value, not on a number that varies.
+    Every value has its own proof. Each statement holds for loops with this constant value, not for a number that
+    varies over the range.
 
     Args:
         study: The study; its sweep is ignored.
@@ -90,7 +95,7 @@ def proved_up_to(
         bounds: Safe end and far end.
         log: Bisect on a logarithmic scale.
         boxes: Largest number of boxes of uncertain numbers that are tried at each value.
-        progress: Called with the values done.
+        progress: Called after each value with the number of values done, and None, as the total is not known.
 
     Raises:
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
@@ -105,7 +110,10 @@ def proved_up_to(
     proofs: dict[float, tuple[float, AnyProved]] = {}
 
     def proved_at(share: np.ndarray | float) -> bool:
-        """Prove the study at a share of the way from the safe end to the far end, and tell whether it is proved."""
+        """Try to prove the study at a share of the way from the safe end to the far end; return whether it is proved.
+
+        The proof is stored in ``proofs`` for the outcome.
+        """
         share = float(share)
         value = value_between(bounds, share, log=log)
         proof = prove_problem(problem_at(study_at_point, name, value), boxes)
@@ -117,7 +125,12 @@ def proved_up_to(
         return proof.complete
 
     def reach_between(proved_share: float | None, refused_share: float | None) -> ProvedReach:
-        """The outcome, from the last share of the way that is proved and the first that is not; None: there is none."""
+        """Make the outcome from two shares of the way, at which a proof was tried.
+
+        Args:
+            proved_share: The last proved share; None: not even the safe end is proved.
+            refused_share: The first share that is not proved; None: the whole range is proved.
+        """
         value, proof = (None, None) if proved_share is None else proofs[proved_share]
         refused_value, failure = (None, None) if refused_share is None else proofs[refused_share]
         return ProvedReach(
@@ -137,17 +150,28 @@ def proved_up_to(
 
 
 def value_between(bounds: tuple[float, float], share: float, *, log: bool) -> float:
-    """The value at a share of the way from the first bound to the second, on a linear or a logarithmic scale."""
+    """The value at a share of the way from the first bound to the second, on a linear or a logarithmic scale.
+
+    Args:
+        bounds: Safe end and far end; positive on a logarithmic scale.
+        share: 0 for the safe end, 1 for the far end.
+        log: Whether the scale is logarithmic.
+    """
     safe, end = bounds
     return safe * (end / safe) ** share if log else safe + share * (end - safe)
 
 
 def problem_at(study: Study, name: str, value: float) -> AnyProblem:
-    """The problem of a study with one number at a value.
+    """Make the problem of a study in which one number has a given value.
+
+    Args:
+        study: The study, without a sweep.
+        name: Dotted name of the number; ``spread`` widens all laws about their medians.
+        value: The number's value; for ``spread``, the factor on the distance of a law's ends from its median.
 
     Raises:
         NotCovered: The loop is outside of what a proof covers.
     """
-    if name == SAMPLE_TIME:  # the duration need not be a multiple of it
+    if name == SAMPLE_TIME:  # replaced in the problem itself, so that the study's duration need not be a multiple of it
         return replace(problem_of(study), sample_time=value)
     return problem_of(study.override(widened_laws(study, value) if name == SPREAD else {name: value}))

@@ -1,4 +1,4 @@
-"""From a vehicle's study to the problem of a proof: check that its parts are covered, reduce it to plain numbers."""
+"""Make the problem of a proof from a vehicle's study: check that a proof covers its parts, extract plain numbers."""
 
 import math
 from collections.abc import Sequence
@@ -52,7 +52,7 @@ def is_vehicle(study: Study) -> bool:
 
 
 def vehicle_problem_of(study: Study) -> VehicleProblem:
-    """Make the problem of a vehicle's study without its sweep; laws become the intervals of their support.
+    """Make the problem of a vehicle's study; its sweep is ignored, and the support of each law becomes an interval.
 
     Raises:
         NotCovered: A part of the loop is outside of the theorem; the message gives the reason.
@@ -105,10 +105,10 @@ def vehicle_problem_of(study: Study) -> VehicleProblem:
 
 
 def require_laws(study: Study) -> None:
-    """Require that each uncertain number is one that a proof covers over an interval, and has bounded support.
+    """Require that a proof covers every uncertain number of a study over an interval, and that its law has bounds.
 
     Raises:
-        NotCovered: An uncertain number is another one, or has no bounds.
+        NotCovered: A proof does not cover an uncertain number, or its law has no bounds.
     """
     for name, law in study.written_laws.items():
         if not name.startswith((*UNCERTAIN, *ONLY_BOUNDS)):
@@ -120,10 +120,10 @@ def require_laws(study: Study) -> None:
 
 
 def require_loop(study: Study) -> None:
-    """Require a loop of the theorem around the vehicle.
+    """Require that the theorem covers the loop around the vehicle.
 
-    It starts level, hovers or flies the mission, and measures exactly. Only the wind disturbs it. On the mission its
-    rotors have no lag.
+    The vehicle starts level, hovers or flies the mission, and measures exactly. Only the wind disturbs it. On the
+    mission its rotors have no lag.
 
     Raises:
         NotCovered: A part of the loop differs; the message names the part.
@@ -148,10 +148,13 @@ def require_loop(study: Study) -> None:
 
 
 def require_inner_loop(plant: Ends) -> InnerGains:
-    """Return the gains of the inner loops; require those of the article, in the variant that the theorem covers.
+    """Return the gains of the inner loops, which must be those of the article, in the variant that the theorem covers.
+
+    Args:
+        plant: The plant's parameters at the lower and the upper ends of all laws.
 
     Raises:
-        NotCovered: The inner loops are others, an option is outside of the theorem, or a gain is uncertain.
+        NotCovered: The inner loops are others, the theorem does not cover an option, or a gain is uncertain.
     """
     inner = plant.low.inner_loop
     if not getattr(inner, "has_proof", False):
@@ -171,6 +174,11 @@ def require_inner_loop(plant: Ends) -> InnerGains:
 
 def require_geometry(plant: Ends) -> None:
     """Require equally spaced rotors with alternating spins, equal drag along body x and y, and no ground or battery.
+
+    Thrusts beyond their limits must be clipped, without any other desaturation.
+
+    Args:
+        plant: The plant's parameters at the lower and the upper ends of all laws.
 
     Raises:
         NotCovered: The vehicle differs; the message names the part.
@@ -205,7 +213,10 @@ def interval_of(values: Sequence[Scalar]) -> Interval:
 
 
 def with_rounding_room(interval: Interval) -> Interval:
-    """Widen an interval by the rounding errors of its ends; the exact number 1 stays as it is."""
+    """Widen an interval by four units in the last place at each end, more than rounding loses; exactly 1 stays 1.
+
+    The ends must be positive.
+    """
     if interval == ONE:
         return interval
     low, high = interval
@@ -213,7 +224,7 @@ def with_rounding_room(interval: Interval) -> Interval:
 
 
 def quotient(a: Interval, b: Interval) -> Interval:
-    """Enclose a/b for positive a and b in intervals; exactly 1 for a number over itself."""
+    """Enclose a/b for positive a and b in intervals; the quotient of a number by itself is exactly 1."""
     a_low, a_high = a
     b_low, b_high = b
     if a == b and a_low == a_high:
@@ -222,7 +233,7 @@ def quotient(a: Interval, b: Interval) -> Interval:
 
 
 def product(a: Interval, b: Interval) -> Interval:
-    """Enclose a b for positive a and b in intervals; an exact factor of 1 adds no rounding."""
+    """Enclose the product a b for positive a and b in intervals; a factor of exactly 1 leaves the other unchanged."""
     if a == ONE:
         return b
     if b == ONE:
@@ -235,8 +246,13 @@ def product(a: Interval, b: Interval) -> Interval:
 def delay_of(study: Study, ends: Ends) -> float:
     """Return the delay of the commands [samples], the same in all channels; 0 without unmodelled dynamics.
 
+    Args:
+        study: The study.
+        ends: The loop's parameters at the lower and the upper ends of all laws.
+
     Raises:
-        NotCovered: The unmodelled dynamics are not a single delay, or it is uncertain or differs between channels.
+        NotCovered: The unmodelled dynamics are not a single delay, or the delay is uncertain or differs between
+            channels.
     """
     models: tuple[Unmodelled, ...] = study.loop.unmodelled
     if all(model is NO_DYNAMICS for model in models):
@@ -250,7 +266,11 @@ def delay_of(study: Study, ends: Ends) -> float:
 
 
 def wind_of(study: Study, ends: Ends) -> tuple[float, float]:
-    """Return bounds of the horizontal and of the vertical wind [m/s].
+    """Return bounds of the norm of the horizontal wind and of the magnitude of the vertical wind [m/s].
+
+    Args:
+        study: The study.
+        ends: The loop's parameters at the lower and the upper ends of all laws.
 
     Raises:
         NotCovered: The kind of wind states no bounds.
@@ -263,10 +283,10 @@ def wind_of(study: Study, ends: Ends) -> tuple[float, float]:
 
 
 def channels_of(study: Study, ends: Ends) -> dict[str, ChannelProblem]:
-    """Controller and start of each channel of the problem, by name; the channel x stands for y, too.
+    """Make the controller and the start of each channel of the problem, by name; the channel x stands for y, too.
 
     Raises:
-        NotCovered: A controller is outside of the theorem, or x and y differ.
+        NotCovered: The theorem does not cover a controller, or the controllers of x and y differ.
     """
     gains = ends.low.controller
     if gains[0] != gains[1] or study.loop.controller[0] is not study.loop.controller[1]:
@@ -280,9 +300,9 @@ def channel_of(study: Study, place: int, gains: object, initial: tuple[float, fl
 
     Args:
         study: The study.
-        place: Place of the channel in the loop.
-        gains: Gains of its controller.
-        initial: Bounds of |e| and |e'| at t = 0.
+        place: Place of the channel among the loop's channels, a value of :data:`AXES`.
+        gains: Gains of the channel's controller.
+        initial: E_0 and V_0, bounds of |e| [m, rad] and |e'| [m/s, rad/s] at t = 0, by :func:`starts_of`.
 
     Raises:
         NotCovered: The controller is outside of the theorem.
@@ -299,12 +319,12 @@ def channel_of(study: Study, place: int, gains: object, initial: tuple[float, fl
 
 
 def require_covered_controller(name: str, controller: Controller, gains: object) -> DsscGains:
-    """Return the gains of a channel's controller; require a controller that the theorem covers.
+    """Return the gains of a channel's controller, after checking that the theorem covers the controller.
 
     Args:
-        name: Name of the channel.
-        controller: Its controller.
-        gains: The controller's gains.
+        name: Name of the channel, for the message.
+        controller: The channel's controller.
+        gains: The controller's gains, of any type.
 
     Raises:
         NotCovered: The controller is outside of the theorem; the message gives the reason.
@@ -322,7 +342,7 @@ def require_covered_controller(name: str, controller: Controller, gains: object)
 
 
 def reference_of(study: Study) -> dict[str, Sine] | None:
-    """Amplitude, period [s] and phase [rad] of the sine that each axis follows; None if the vehicle hovers."""
+    """Return the sine that each axis follows, as amplitude [m, rad], period [s] and phase [rad]; None in hover."""
     if study.loop.reference is HOVER:
         return None
     return {
@@ -344,9 +364,9 @@ def first_points(study: Study, ends: Ends) -> list[tuple[float, float]]:
 
 
 def starts_of(study: Study, ends: Ends) -> dict[str, tuple[float, float]]:
-    """E_0 and V_0, bounds of |e| and |e'| at t = 0, by channel.
+    """Return E_0 and V_0, bounds of |e| [m, rad] and |e'| [m/s, rad/s] at t = 0, by channel.
 
-    In x they bound the norms of the plane's vectors. In psi V_0 bounds |psi'|, which starts at 0.
+    In x they bound the norms of the plane's vectors. In psi V_0 bounds |psi'| itself, which is 0 at the start.
     """
     plants: list[UavParams] = [end.plant for end in ends]
     *first_points_of_axes, (first_yaw, _) = first_points(study, ends)
@@ -356,7 +376,8 @@ def starts_of(study: Study, ends: Ends) -> dict[str, tuple[float, float]]:
         distances.append(largest_of([end.position[axis] - place for end in plants]))
         speeds.append(largest_of([end.velocity[axis] - rate for end in plants]))
     yaw_errors = [float(end.yaw) - first_yaw for end in plants]
-    full_turns = TURN * round(sum(yaw_errors) / (2.0 * TURN))  # the vehicle takes the shorter way round
+    # the vehicle takes the shorter way round, so the mean of both ends loses its full turns
+    full_turns = TURN * round(sum(yaw_errors) / (2.0 * TURN))
     yaw_error = largest_of([angle - full_turns for angle in yaw_errors])
     room = 0.0 if study.loop.reference is HOVER else START_ROOM
     return {

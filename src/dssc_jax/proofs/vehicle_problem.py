@@ -1,4 +1,4 @@
-"""The problem of a proof of the whole vehicle, in plain numbers; docs/vehicle_proofs.md states the theorem."""
+"""The problem of a proof for the whole vehicle, in plain numbers; docs/vehicle_proofs.md states the theorem."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -9,7 +9,7 @@ from dssc_jax.proofs.problem import Interval, NominalControl, delay_weights
 CHANNELS = ("x", "z", "psi")
 """Channels with a controller; y has the controller of x."""
 Sine = tuple[float, float, float]
-"""Amplitude, period [s] and phase [rad] of amplitude sin(2 pi t/period + phase)."""
+"""Amplitude [m, rad], period [s] and phase [rad] of the sine amplitude sin(2 pi t/period + phase)."""
 
 
 @dataclass(frozen=True)
@@ -18,12 +18,12 @@ class ChannelProblem:
 
     Args:
         l0: Error pole [1/s].
-        functions: Kind and constants of the state-dependent functions.
-        rho: Bound of the switched control [m/s], of psi [rad/s].
+        functions: Kind of the state-dependent functions, in the entry ``kind``, and their constants by name.
+        rho: Bound of the switched control [m/s; rad/s in psi].
         nominal: The nominal control; None: there is none.
         start: Where the predictor starts: ``zero``, ``matched`` or ``midpoint``.
-        initial: E_0 and V_0, bounds of |e| and |e'| at t = 0: in x of the norms of the plane's vectors, in psi of |e|
-            and |psi'|.
+        initial: E_0 and V_0, bounds of |e| [m] and |e'| [m/s] at t = 0. In x they bound the norms of the plane's
+            vectors. In psi they bound |e| [rad] and |psi'| [rad/s].
     """
 
     l0: float
@@ -36,7 +36,7 @@ class ChannelProblem:
 
 @dataclass(frozen=True)
 class VehicleProblem:
-    """A hovering multirotor with a sampled controller in each channel, and intervals of its uncertain numbers.
+    """A multirotor that hovers or flies the mission, with sampled controllers and intervals of its uncertain numbers.
 
     Args:
         sample_time: T_s [s].
@@ -98,16 +98,20 @@ class VehicleProblem:
 
     @property
     def thrust_deviation(self) -> float:
-        """k, the largest |kappa - 1|."""
+        """k, the largest |kappa - 1| over the interval ``thrust``."""
         return max(abs(end - 1.0) for end in self.thrust)
 
     @property
     def turn_deviation(self) -> float:
-        """delta, the largest |nu_i - 1|."""
+        """delta, the largest |nu_i - 1| over the interval ``turn``."""
         return max(abs(end - 1.0) for end in self.turn)
 
     def first_sigma(self, name: str) -> float:
-        """Sigma_0, the bound of |sigma| of a channel at t = 0: V_0 + l_0 E_0, in psi plus |psi_m'(0)|."""
+        """Sigma_0, a bound of |sigma| at t = 0 [m/s; rad/s in psi]: V_0 + l_0 E_0 and, in psi, |psi_m'(0)| besides.
+
+        Args:
+            name: Name of the channel.
+        """
         channel = self.channels[name]
         e, e_dot = channel.initial
         if name == "psi" and self.reference is not None:  # the body does not turn, whereas its reference does
@@ -117,7 +121,7 @@ class VehicleProblem:
 
     @property
     def starts_away(self) -> bool:
-        """Whether the vehicle may start away from its hovering point, or with a moving reference."""
+        """Whether the vehicle's reference moves, or the vehicle may start away from its hovering point."""
         return self.reference is not None or any(any(channel.initial) for channel in self.channels.values())
 
     @property

@@ -1,4 +1,4 @@
-"""The vehicle of a certificate in words, with every digit of its numbers, and what its verdict proves."""
+"""Write a certificate's vehicle in words, with every digit of its numbers, and the bounds that its verdict proves."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ SHOWN_AS = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
 
 
 def vehicle_in_words(problem: VehicleProblem) -> dict[str, str]:
-    """The problem of a well-formed certificate in words, by label, so that people can compare it with their vehicle."""
+    """Describe the problem of a well-formed certificate, by label, so that people can compare it with their vehicle."""
     k_h, k_z = problem["structure_drag"]
     wind_h, wind_z = problem["wind"]
     words = {
@@ -41,7 +41,7 @@ def inner_words(problem: VehicleProblem) -> str:
 
 
 def inertia_words(problem: VehicleProblem) -> str:
-    """The intervals of the body's inertia, and what the inner loops believe, in words."""
+    """The intervals of the body's inertia, and the inertia that the inner loops believe, in words."""
     axes = zip("xyz", problem["inertia"], problem["believed_inertia"], strict=True)
     axis_words = [f"J_{axis} {interval_words(interval)} (believed {believed})" for axis, interval, believed in axes]
     return f"{', '.join(axis_words)} kg m^2, believed over true {interval_words(problem['turn'])}"
@@ -74,7 +74,7 @@ def channel_words(name: str, channel: ChannelProblem) -> str:
 
 
 def vehicle_verdict_in_words(verdict: VehicleVerdict) -> str:
-    """Whether a vehicle's certificate is valid, in words: the bounds that it proves, or why it fails."""
+    """A sentence that says whether a vehicle's certificate is valid: the bounds that it proves, or why it fails."""
     if not verdict.proved:
         return f"not valid: {verdict.reason}"
     parts = []
@@ -88,25 +88,25 @@ def vehicle_verdict_in_words(verdict: VehicleVerdict) -> str:
 
 
 def digits_above(bound: float) -> str:
-    """A positive bound with four digits, rounded up."""
+    """Write a positive upper bound with four significant digits, rounded up so that it stays a bound."""
     return f"{math.ceil(bound / last_digit(bound)) * last_digit(bound):.4g}"
 
 
 def digits_below(bound: float) -> str:
-    """A positive lower bound with four digits, rounded down."""
+    """Write a positive lower bound with four significant digits, rounded down so that it stays a bound."""
     return f"{math.floor(bound / last_digit(bound)) * last_digit(bound):.4g}"
 
 
 def last_digit(value: float) -> float:
-    """The place value of the fourth digit of a positive number, such as 0.001 for 1.234."""
+    """The place value of the fourth significant digit of a positive number, such as 0.001 for 1.234."""
     return 10.0 ** (math.floor(math.log10(value)) - 3)
 
 
 def stated_bounds(verdict: VehicleVerdict) -> JsonObject:
-    """Bounds from the start on (``bounds``) and once settled (``settled``), each a table by channel, tilt and rotors.
+    """Make the tables of bounds that a verdict states: from the start on (``bounds``), and once settled (``settled``).
 
-    They are in m, m/s, rad, rad/s and N. With cells of time there are also their duration ``cell`` [s] and the
-    ``envelope``, the bounds in each cell.
+    Each table has the bounds of every axis, of the tilt and of the rotors' thrusts, in m, m/s, rad, rad/s and N. A
+    proof with time cells adds the duration of a cell, ``cell`` [s], and the bounds in each cell, ``envelope``.
     """
     rotors = {"rotor_min": verdict.rotor_min, "rotor_max": verdict.rotor_max}
     stated: JsonObject = {
@@ -119,7 +119,11 @@ def stated_bounds(verdict: VehicleVerdict) -> JsonObject:
 
 
 def by_channel(signals: Mapping[str, Mapping[str, float | list[float]]]) -> JsonObject:
-    """The bounds that are stated, by the labels x, y, z and psi, and by signal."""
+    """Select the stated bounds from those of all signals, and sort them by the labels x, y, z and psi.
+
+    Args:
+        signals: Bounds by channel and signal; a bound is a number, or a list with one number for each time cell.
+    """
     stated = {}
     for name, labels in SHOWN_AS.items():
         for label in labels:

@@ -1,4 +1,4 @@
-"""The loop of a certificate in words, with every digit of its numbers, and its verdict."""
+"""Write a certificate's loop in words, with every digit of its numbers, and the verifier's verdict on it."""
 
 from collections.abc import Mapping
 
@@ -10,9 +10,9 @@ SIGNAL_NAMES = ("|y_m'|", "|y_m''|", "|y_m'''|")
 
 
 def loop_in_words(problem: Problem) -> dict[str, str]:
-    """The problem of a well-formed certificate in words, by label, so that people can compare it with their loop.
+    """Describe the problem of a well-formed certificate, by label, so that people can compare it with their own loop.
 
-    Values are in the certificate's units: those of y and of u, and seconds.
+    A certificate does not name units: lengths are in the unit of y, commands in the unit of u, times in seconds.
     """
     return {
         "controller": controller_words(problem),
@@ -28,7 +28,7 @@ def loop_in_words(problem: Problem) -> dict[str, str]:
 
 
 def verdict_in_words(verdict: ProofVerdict) -> str:
-    """Whether a certificate is valid, in words: the bounds of |e| that it proves, or why it fails."""
+    """A sentence that says whether a certificate is valid: the bounds of |e| that it proves, or why it fails."""
     if not verdict.proved:
         return f"not valid: {verdict.reason}"
     bounds = f"{verdict.largest_error:.4g} and ends within {verdict.error:.4g}"
@@ -36,7 +36,7 @@ def verdict_in_words(verdict: ProofVerdict) -> str:
 
 
 def interval_words(interval: Interval) -> str:
-    """``= number``, or ``in [low, high]``."""
+    """Write an interval as ``in [low, high]``, or as ``= number`` if its ends are equal."""
     low, high = interval
     return f"= {low}" if low == high else f"in [{low}, {high}]"
 
@@ -89,7 +89,7 @@ def unmodelled_words(problem: Problem) -> str:
 
 
 def disturbance_words(problem: Problem) -> str:
-    """The bounds of the disturbance (wind, load), and how it depends on the state, in words."""
+    """The bounds of the disturbance (wind, load), and the gains k_d1 to k_d5 of its state dependence, in words."""
     bounds = f"any (wind, load) with |d| <= {problem['level']} and slope |d'| <= {problem['slope']} 1/s"
     gains = [f"k_d{i} = {k}" for i, k in enumerate(problem["by_state"], 1) if k]
     if not gains:

@@ -1,4 +1,4 @@
-"""The map y -> h + M y from bounds y of all signals to the bounds that follow from them, in floating point.
+"""The map y -> h + M y from bounds y of all signals to the bounds that follow from y, in floating point.
 
 The loop is a linear middle loop plus deviations (method 2 of docs/proofs.md). Bounds of the signals bound the
 deviations, and the middle loop's responses to the deviations give new bounds of the signals.
@@ -24,25 +24,25 @@ from dssc_jax.proofs.search.sampled_loop import (
 )
 
 CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
-"""Places in a list of bounds: of sigma - s, sigma, e, command + d_r, u_eq - d_r - f, and of the first state of z."""
+"""Places in a list of bounds of sigma - s, sigma, e, command + d_r, u_eq - d_r - f, and of the first state of z."""
 CORNER_ROOM = 1.2
 """Factor that widens the deviations of Phi and Gamma at the corners of a box, for plants between the corners."""
 
 
 class BoundsMap(NamedTuple):
-    """The affine map y -> h + M y from bounds of the signals in one region to the bounds that follow from them.
+    """The affine map y -> h + M y from bounds y of the signals in one region to the bounds that follow from y.
 
-    h is ``forced`` where only the upper limits count, and ``forced + peaks`` from the start on.
+    For bounds that hold from the start on, h is ``forced + peaks``; for bounds of upper limits, h is ``forced``.
 
     Args:
         step: One sample of the middle loop.
-        spread: The law in the region: the gains of the middle loop, and the deviations from it.
+        spread: The law in the region: the gains of the middle loop, and the law's deviations from the middle loop.
         forced: Bounds of the responses to disturbance, reference and the constant parts of the deviations,
             shape (signals,).
         peaks: Bounds of the responses to the starts, shape (signals,).
         matrix: M, bounds of the responses to the parts of the deviations that grow with the bounds,
             shape (signals, signals).
-        command: Coefficients of the bound of |command + d_r|: of each signal's bound, and a constant at the end,
+        command: Row of the bound of |command + d_r|: a coefficient for each signal's bound, and a constant at the end;
             shape (signals + 1,).
     """
 
@@ -55,15 +55,18 @@ class BoundsMap(NamedTuple):
 
 
 def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap | None:
-    """Make the map of bounds to bounds for a law in a region; None if the middle loop is not stable.
+    """Make the map of bounds to bounds for a law in a region.
 
-    The deviations enter z+ = A z + B w + b_v omega_v + b_u omega_u + omega. Each of them is bounded by a row of
-    coefficients of the signals' bounds, with a constant at the end.
+    The deviations enter z+ = A z + B w + b_v omega_v + b_u omega_u + omega. Each of them is bounded by a row: a
+    coefficient for each signal's bound, and a constant at the end.
 
     Args:
         problem: The problem, with bounds of the disturbance.
         box: Intervals of k_p, a_p and 1/mu.
-        spread: The gains of the middle loop, and how far the law deviates from it.
+        spread: The gains of the middle loop, and the law's deviations from the middle loop.
+
+    Returns:
+        The map; None if the middle loop is not stable, or its responses decay too slowly.
     """
     is_integrated = spread.is_integrated
     point = box_middle(box, spread.gains)
@@ -105,7 +108,16 @@ def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap 
 
 
 def bounded_signals(step: Step, spread: LawSpread, point: LoopPoint) -> np.ndarray:
-    """Make the rows that give the signals from the state z of the middle loop, in their order, shape (signals, n)."""
+    """Make the rows that give the bounded signals from the state z of the middle loop, shape (signals, n).
+
+    Args:
+        step: One sample of the middle loop.
+        spread: The law in the region, of which the gains of the equivalent control are used.
+        point: Plant and gains of the middle loop.
+
+    Returns:
+        The rows of sigma - s, sigma, e, command + d_r, u_eq - d_r - f and of the n states.
+    """
     rows = step.rows
     unit = np.eye(step.a.shape[0])
     # u_eq = v + (1 + tau_av/T_s) (v+ - v), where the slide gains hold the factor 1 + tau_av/T_s
@@ -118,17 +130,23 @@ def bounded_signals(step: Step, spread: LawSpread, point: LoopPoint) -> np.ndarr
 
 
 def deviation_row(deviation: Deviation, signals: int) -> np.ndarray:
-    """Bound a deviation by coefficients of the signals' bounds, and a constant at the end, shape (signals + 1,)."""
+    """Write the bound of a deviation as a row: a coefficient for each signal's bound, and a constant at the end.
+
+    Args:
+        deviation: The bound.
+        signals: Number of signals; the row has the shape (signals + 1,).
+    """
     row = np.zeros(signals + 1)
     row[CHANGE], row[SIGMA], row[signals] = deviation
     return row
 
 
 def held_deviations(problem: ProofProblem, box: Box, command: np.ndarray) -> np.ndarray:
-    """Bound how far one sampled step of a state can differ from the middle model's, over all parameters in the box.
+    """Bound the deviation of each state after a sample from that of the middle loop, over all a_p and 1/mu in the box.
 
     |omega_i| <= k_p dGamma_i |command| + sum of dPhi_ij |z_j|, where dPhi and dGamma are the distances of Phi and Gamma
-    from those in the middle of the box. They are evaluated at the corners; ``CORNER_ROOM`` covers what lies between.
+    from those in the middle of the box. They are evaluated at the corners of the box; ``CORNER_ROOM`` covers the plants
+    between the corners.
 
     Args:
         problem: The loop and its uncertain numbers.
@@ -136,7 +154,8 @@ def held_deviations(problem: ProofProblem, box: Box, command: np.ndarray) -> np.
         command: Coefficients of the bound of |command + d_r|, shape (signals + 1,).
 
     Returns:
-        Coefficients of the signals' bounds, and a constant at the end, for each state, shape (n, signals + 1).
+        A row for each state, with coefficients of the signals' bounds and a constant at the end; shape (n, signals +
+        1). The rows of v and s are 0.
     """
     n = command.size - 1 - STATES
     largest = np.zeros((n, command.size))

@@ -39,7 +39,7 @@ Above it the bound counts as loose, and an invariant set is tried, too."""
 
 @dataclass(frozen=True)
 class Proof:
-    """The proof in one box: stages whose regions shrink from one that holds every start to the residual.
+    """A proof in one box: stages whose regions shrink, from a region that holds every start down to the residual.
 
     Args:
         box: Intervals of k_p, a_p and 1/mu.
@@ -55,7 +55,7 @@ class Proof:
 
 
 class Failure(NamedTuple):
-    """A box for which no proof is found, and the step of a proof that fails there."""
+    """A box without a proof, and the condition that the search could not meet in this box."""
 
     box: Box
     reason: Obstacle
@@ -64,8 +64,8 @@ class Failure(NamedTuple):
 def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
     """Search for one proof that holds for every plant of a box.
 
-    Bounds that imply themselves are tried first: they are cheap and tight. If there are none that hold from the start
-    on, or their bound of |e| is loose, a proof is sought that begins with invariant sets.
+    Bounds that imply themselves are tried first, since they are cheap and tight. If no such bounds hold from the start
+    on, or if their bound of |e| is loose, the search looks for a proof that begins with invariant sets.
 
     Returns:
         The proof, or the reason why there is none.
@@ -94,13 +94,16 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
 def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
     """Replace a proof whose bound of |e| from the start on is loose by one that begins with an invariant set.
 
-    A set costs more time. So it is tried only if the bound of |e| exceeds by the factor ``LOOSE`` what the loop
-    linearised at sigma = e = 0 reaches. It is taken if its bound from the start on is smaller and its last bound not
-    worse by more than ``ENOUGH`` allows.
+    A set costs more time. So it is tried only if the bound of |e| is more than ``LOOSE`` times the largest |e| of the
+    loop linearised at sigma = e = 0. The new proof is taken if its bound from the start on is smaller, and its last
+    bound is at most 1/``ENOUGH`` times the old one.
 
     Args:
         problem: The loop and its uncertain numbers.
         proof: A proof that begins with bounds that imply themselves.
+
+    Returns:
+        The new proof, or the given one.
     """
     if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
         return proof
@@ -115,22 +118,28 @@ def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
 
 
 def reached_error(stage: SetStage | BoundsStage, setting: Setting) -> float:
-    """The bound of |e| [m] at the samples, in which a stage keeps the loop or to which it brings it."""
+    """The bound of |e| [m] at the samples that a stage shows: from the start on, or once the loop has settled.
+
+    Args:
+        stage: The stage.
+        setting: The setting of the box, which has e as a row over z.
+    """
     if isinstance(stage, BoundsStage):
         return stage.bounds[ERROR]
     return largest_in_set(np.array(stage.p), setting.origin.rows.e)
 
 
 def smallest_error(proof: Proof, setting: Setting) -> float:
-    """The smallest bound of |e| [m] at the samples of all stages: where a proof lets |e| end."""
+    """The smallest bound of |e| [m] at the samples over all stages of a proof; it holds once the loop has settled."""
     return min(reached_error(stage, setting) for stage in proof.stages)
 
 
 def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
     """Search for a proof that begins with an invariant set which holds every start.
 
-    In the conservative form the integrator's state may be written as v or as q = v - phi_1. q is better where K_P
-    varies much over the region, so it is tried first there; if one of them leads to no proof, the other is tried.
+    In the conservative form the integrator's state may be written as v or as q = v - phi_1. If K_P varies much over
+    the region, q is better and is tried first, otherwise v. If the first choice leads to no proof, the other is tried,
+    except if the loop is not stable at sigma = e = 0, where both fail.
     """
     if problem.form == "implicit":
         return proof_in_coordinate(problem, box, is_integrated=False)
@@ -143,7 +152,10 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
 
 
 def gains_vary_on_the_way(problem: ProofProblem, box: Box) -> bool:
-    """Whether K_P varies so much over what the loop reaches from its starts that this region needs several pieces."""
+    """Whether the region that the loop reaches from its starts needs several pieces, since K_P varies much over it.
+
+    The region is estimated by the loop linearised at sigma = e = 0; False if this loop is not stable.
+    """
     setting = setting_of(problem, box)
     if setting is None:
         return False
@@ -156,7 +168,7 @@ def gains_vary_on_the_way(problem: ProofProblem, box: Box) -> bool:
 def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool) -> Proof | Failure:
     """Search for invariant sets, each within the one before, until bounds imply themselves in the last set.
 
-    Such bounds are tighter than any set, so they end the proof where they exist.
+    Bounds that imply themselves are tighter than any set, so the proof ends with them where they exist.
 
     Args:
         problem: The loop and its uncertain numbers.
@@ -185,7 +197,7 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool)
 
 
 def region_of_set(setting: Setting, stage: SetStage) -> StageRegion:
-    """The region that every trajectory enters in finite time, since the set of a stage attracts."""
+    """A region that every trajectory enters in finite time: the set of a stage, which attracts, with some room."""
     p = np.array(stage.p)
     rows = setting.origin.rows
     return StageRegion(
@@ -198,17 +210,21 @@ def region_of_set(setting: Setting, stage: SetStage) -> StageRegion:
 def halves(box: Box, problem: ProofProblem) -> list[Box]:
     """Cut a box in two, across the interval along which the loop's eigenvalues change most.
 
-    These are the eigenvalues of the loop linearised at sigma = e = 0. The cut is at the geometric mean of positive
-    ends, otherwise in the middle.
+    The eigenvalues are those of the loop linearised at sigma = e = 0. The interval is cut at the geometric mean of its
+    ends if both are positive, otherwise in its middle.
+
+    Args:
+        box: Intervals of k_p, a_p and 1/mu, at least one of them with a width.
+        problem: The loop and its uncertain numbers.
     """
     gains = gain_hull(problem, NEAR_ORIGIN, NEAR_ORIGIN)
 
     def eigenvalues(box: Box) -> np.ndarray:
-        """Eigenvalues of A in z+ = A z, the loop's step in the middle of a box; sorted, to be compared, shape (n,)."""
+        """Eigenvalues of A in z+ = A z for the loop in the middle of a box, sorted for comparison, shape (n,)."""
         return np.sort_complex(np.linalg.eigvals(step_of(problem, box_middle(box, gains), box).a))
 
     def eigenvalue_change(name: str) -> float:
-        """How far the eigenvalues move, in all, from one end of an uncertain number to the other."""
+        """The sum of the distances by which the eigenvalues move from one end of an uncertain number to the other."""
         low, high = box[name]
         at_low = eigenvalues(box | {name: (low, low)})
         at_high = eigenvalues(box | {name: (high, high)})
@@ -221,7 +237,12 @@ def halves(box: Box, problem: ProofProblem) -> list[Box]:
 
 
 def volume(box: Box, problem: ProofProblem) -> float:
-    """Share of the problem's box that a smaller box takes, 0 to 1; 1/mu counts on a logarithmic scale."""
+    """Share of the problem's box that a smaller box takes by volume, 0 to 1; 1/mu counts on a logarithmic scale.
+
+    Args:
+        box: The smaller box, within the problem's box.
+        problem: The loop, whose intervals without width are ignored.
+    """
     share = 1.0
     for name, (lowest, highest) in problem.box.items():
         if lowest < highest:

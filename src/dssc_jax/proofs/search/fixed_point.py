@@ -1,7 +1,7 @@
 """Bounds y of all signals that imply themselves, h + M y <= y (premise P7), searched in floating point.
 
-If the signals stay within y, so do the gains and the deviations from a linear middle loop. The responses of that loop
-then keep the signals within h + M y. :mod:`dssc_jax.proofs.verifier.small_gain` verifies that this is less than y.
+While the signals stay within y, the deviations from a linear middle loop are bounded. The responses of this loop then
+keep the signals within h + M y. :mod:`dssc_jax.proofs.verifier.small_gain` verifies that h + M y is less than y.
 """
 
 from dataclasses import dataclass, replace
@@ -34,9 +34,9 @@ from dssc_jax.proofs.search.sampled_loop import INNER_STEPS, signal_sizes
 ROUNDS = 16
 """Largest number of regions that are tried for bounds from the start on; each is larger than the one before."""
 SHRINKINGS = 6
-"""Number of smaller regions that are tried even if each improves |e| by little, namely to ``WORTH``."""
+"""Number of smaller regions of which each need only improve the bound of |e| to ``WORTH`` times the last one."""
 MOST_SHRINKINGS = 40
-"""Largest number of smaller regions; after ``SHRINKINGS`` of them each must improve |e| to ``FURTHER_WORTH``."""
+"""Largest number of smaller regions; those after ``SHRINKINGS`` must improve the bound of |e| to ``FURTHER_WORTH``."""
 GROWTH = 1.1
 """Ratio of the next region to the bounds that did not fit into the last one."""
 INFLATION = 1.0 + 2e-4
@@ -44,7 +44,7 @@ INFLATION = 1.0 + 2e-4
 ENTERED = 1.0001 * (1.0 + 1e-9)
 """Factor of an upper limit (limit superior) below which the signal is from some time on, as P4 takes it."""
 STATE_ROOM = 1.02
-"""Factor that widens bounds of the states, because the verifier encloses what happens between the samples."""
+"""Factor that widens bounds of the states, because the verifier's enclosure of the time between samples is wider."""
 SMALLEST_BOUND = 1e-15
 """Addition to the bounds of the signals, so that none of them is 0."""
 SMALLEST_REGION = 1e-12
@@ -60,15 +60,15 @@ class BoundsStage:
     """A stage of a proof: bounds that the middle loop maps into themselves while sigma and e stay within a region.
 
     Args:
-        sigma: Bound of |sigma| in which the gains are taken [m/s].
-        e: Bound of |e| there [m].
-        change: Bound of the change of sigma in a sample there [m/s].
-        level: Bound of |d| [m/s], including what depends on the state, as far as ``bounds`` allow.
-        slope: Bound of |d'| [m/s^2], including the same.
+        sigma: Bound of |sigma| in the region over which the gains are taken [m/s].
+        e: Bound of |e| in this region [m].
+        change: Bound of the change of sigma in a sample in this region [m/s].
+        level: Bound of |d| [m/s], including the state's share of the disturbance while the signals are in ``bounds``.
+        slope: Bound of |d'| [m/s^2], including the state's share.
         rate: lambda [1/s], with which V = z'Pz of the middle loop falls.
         gains: Gains of the middle loop: K_P, K_I, K_N, K_P (1 + tau_av/T_s) and T_s K_I (1 + tau_av/T_s), in this
-            order; with the coordinate ``phi_1`` the first is the slope that stands for phi_1.
-        bounds: Bounds of sigma - s, sigma, e, the command, u_eq - d_r - f, and of each state in z.
+            order; with the coordinate ``phi_1`` the first one is the slope of the straight line in place of phi_1.
+        bounds: Bounds of sigma - s, sigma, e, command + d_r, u_eq - d_r - f, and of each state in z.
         p: P, row by row.
         coordinate: Which integrator state z contains: ``u_av`` for v, ``phi_1`` for q = v - phi_1(s).
         method: Name of the method of docs/proofs.md by which the verifier checks the stage.
@@ -92,7 +92,7 @@ class FittedBounds(NamedTuple):
 
     Args:
         mapping: The map y -> h + M y.
-        bounds: Its fixed point y, shape (signals,).
+        bounds: y, the fixed point of this map, shape (signals,).
     """
 
     mapping: BoundsMap
@@ -100,11 +100,11 @@ class FittedBounds(NamedTuple):
 
 
 def fixed_point(origin: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
-    """The smallest bounds y with h + M y <= y, plus a little so that all are positive, shape (signals,).
+    """The smallest bounds y with h + M y <= y, enlarged a little so that all are positive, shape (signals,).
 
     Args:
-        origin: h, what the inputs and the start cause, shape (signals,).
-        matrix: M, how the bounds act back on themselves, shape (signals, signals).
+        origin: h, bounds of the responses to the inputs and, from the start on, to the start, shape (signals,).
+        matrix: M, the factors by which bounds of the signals increase the implied bounds, shape (signals, signals).
 
     Returns:
         The bounds; None if M's spectral radius is not below 1, so that no bounds imply themselves.
@@ -115,7 +115,7 @@ def fixed_point(origin: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
 
 
 def bounds_stage(problem: ProofProblem, region: StageRegion, fitted: FittedBounds) -> BoundsStage:
-    """Put bounds of the signals into the form of a certificate's stage, with a V that bounds the responses' tails.
+    """Make a certificate's stage from bounds of the signals, with a V = z'Pz that bounds the tails of the responses.
 
     Args:
         problem: The problem, with bounds of the disturbance including the state's share.
@@ -140,9 +140,10 @@ def bounds_stage(problem: ProofProblem, region: StageRegion, fitted: FittedBound
 def allowed_disturbance(
     problem: ProofProblem, current_problem: ProofProblem, box: Box, fitted: FittedBounds
 ) -> ProofProblem:
-    """The problem with bounds of |d| and |d'| that include the state's share, under bounds of the signals.
+    """Replace the bounds of |d| and |d'| in a problem by bounds that include the state's share.
 
-    A disturbance as in (30) grows with the state, so bounds of the state bound it. docs/proofs.md has the inequalities.
+    A disturbance as in (30) grows with the state, so bounds of the signals bound the state's share. docs/proofs.md has
+    the inequalities. Without k_d1 to k_d5 the problem is returned as it is.
 
     Args:
         problem: The problem, with bounds alpha and alpha' of the disturbance without the state.
@@ -168,7 +169,10 @@ def allowed_disturbance(
 def motion_sizes(fitted: FittedBounds) -> np.ndarray:
     """Bounds at the samples of |command + d_r| [m/s] and of each state, shape (1 + n,).
 
-    They are a little widened, because the verifier encloses what follows from them between the samples.
+    The bounds are widened by ``STATE_ROOM``, because the verifier's bounds between the samples are a little wider.
+
+    Args:
+        fitted: Bounds of the signals, with the row that gives the command's bound.
     """
     command = fitted.mapping.command
     command_bound = command[:-1] @ fitted.bounds + command[-1]
@@ -176,7 +180,7 @@ def motion_sizes(fitted: FittedBounds) -> np.ndarray:
 
 
 def slide_slack(problem: ProofProblem, box: Box, fitted: FittedBounds, region: StageRegion) -> float:
-    """Bound of how far the equivalent control u_eq is from the middle loop's [m/s]; sliding needs room for it.
+    """Bound of the deviation of the equivalent control u_eq from the middle loop's [m/s], for which rho needs room.
 
     Args:
         problem: The problem, with bounds of the disturbance.
@@ -218,7 +222,7 @@ def motion_between_samples(problem: ProofProblem, box: Box, bounds: np.ndarray) 
     """
     command = bounds[0] * box["k_p"][1]  # of |U|, where U = k_p (command + d_r)
     states = bounds[1:]
-    # |k_p (d_r(t) - d_r(t_k))|, what the disturbance changes by within a sample
+    # bound of |k_p (d_r(t) - d_r(t_k))|, k_p times the change of the disturbance within a sample
     disturbance_effect = signal_sizes(problem, box).slope * problem.sample_time * box["k_p"][1]
     largest_motion = np.zeros(2)  # of |e| and |e'|
     acceleration = 0.0
@@ -252,8 +256,8 @@ class StartStage(NamedTuple):
 def from_start(problem: ProofProblem, box: Box) -> StartStage | Obstacle:
     """Search for bounds of all signals that hold from the start on and imply themselves.
 
-    The bounds follow from a region, but must lie within it. If they do not, the region grows to hold them. If the
-    disturbance that they allow is larger than assumed, its bounds grow, too.
+    The bounds are computed for a region, and must lie within this region. If they do not, the region grows to hold
+    them. If the bounds allow a larger disturbance than was assumed, the assumed level and slope grow, too.
 
     Returns:
         The first stage of a proof; or why there is none: ``GAIN``, ``REGION`` or ``SLIDING``.
@@ -284,9 +288,15 @@ def from_start(problem: ProofProblem, box: Box) -> StartStage | Obstacle:
 
 
 def bounds_fit(problem: ProofProblem, region: StageRegion, fitted: FittedBounds) -> bool:
-    """Whether bounds of the signals, widened for the verifier, lie within the region from which they follow.
+    """Whether bounds of the signals, widened for the verifier, lie within the region for which they were computed.
 
-    The region's change of sigma matters only in the implicit form with q, where a deviation depends on it.
+    The region's bound of the change of sigma is used only in the implicit form with q, where the deviation R depends
+    on it.
+
+    Args:
+        problem: The problem, of which the sampled form is used.
+        region: The region.
+        fitted: The bounds.
     """
     bounds = INFLATION * fitted.bounds
     sigma_and_error_fit = bounds[SIGMA] <= region.sigma and bounds[ERROR] <= region.e
@@ -296,7 +306,7 @@ def bounds_fit(problem: ProofProblem, region: StageRegion, fitted: FittedBounds)
 
 
 def keeps_sliding(problem: ProofProblem, box: Box, fitted: FittedBounds, region: StageRegion) -> bool:
-    """Whether |u_eq - d_r - f| stays within rho - sup |d_r + f| (premise P5); always if the command has no bound.
+    """Whether |u_eq - d_r - f| stays within rho - sup |d_r + f| (premise P5); true if the command has no bound.
 
     Args:
         problem: The problem, with bounds of the disturbance.
@@ -314,10 +324,10 @@ def keeps_sliding(problem: ProofProblem, box: Box, fitted: FittedBounds, region:
 def least_bounds(
     problem: ProofProblem, box: Box, region: StageRegion, signal: int, *, with_start: bool
 ) -> FittedBounds | None:
-    """The smallest bounds of the signals that imply themselves under the control law of a region; None: there are none.
+    """The smallest bounds of the signals that imply themselves under the control law of a region.
 
-    The law's deviation from a linear one can be bounded in several ways. The way with the smallest bound of ``signal``
-    is taken.
+    The law's deviation from a linear law can be bounded in several ways. Each way gives bounds of all signals, and the
+    bounds with the smallest bound of ``signal`` are returned.
 
     Args:
         problem: The problem, with bounds of the disturbance.
@@ -325,6 +335,9 @@ def least_bounds(
         region: Region of sigma and e.
         signal: Place of the signal whose bound is to be small.
         with_start: Whether the bounds hold from the start on; otherwise they bound upper limits (limits superior).
+
+    Returns:
+        The bounds; None if no bounds imply themselves.
     """
     candidates: list[FittedBounds] = []
     for spread in law_spreads(problem, region):
@@ -348,8 +361,11 @@ def towards_residual(
     Args:
         problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
-        limits: Bounds so far of |sigma|, |e| and the change of sigma in a sample.
-        allowed_problem: The problem with the largest disturbance that the bounds so far allow.
+        limits: The last bounds found before, of |sigma|, |e| and the change of sigma in a sample.
+        allowed_problem: The problem with the largest disturbance that these bounds allow.
+
+    Returns:
+        The stages in their order; empty if not even one improves the bound of |e| enough.
     """
     stages: list[BoundsStage] = []
     for number in range(MOST_SHRINKINGS):

@@ -20,7 +20,7 @@ from dssc_jax.proofs.search.sampled_loop import functions_of
 GRID = 129
 """Number of sizes of sigma at which the gains are evaluated, with either sign."""
 NEAR_ORIGIN = 1e-9
-"""Smallest bound of |sigma| [m/s] and of |e| [m] for a region, as close to sigma = e = 0 as the gains are taken."""
+"""Bound of |sigma| [m/s] and of |e| [m] of the smallest region; the gains there count as those at sigma = e = 0."""
 MARGIN = 0.06
 """Widening of an interval at each end, as a share of its width, so that the verifier's enclosure fits in."""
 GAIN_NAMES = ("k_p", "k_i", "k_n", "slide_p", "slide_i")
@@ -40,10 +40,10 @@ GainArrays = dict[str, jax.Array]
 def gain_hull(problem: ProofProblem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0) -> Hull:
     """Intervals of the gains in a region of sigma and e, by name, widened for the verifier's enclosures.
 
-    * :data:`GAIN_NAMES` are always there.
-    * ``mean``: phi_1/sigma; in the conservative form, and in the implicit one for ``KNOWN_INTEGRALS``.
-    * ``slide_e``: (d phi_1/d e)(1 + tau_av/T_s); in the conservative form only.
-    * ``by_e``: the largest |d phi_1/d e|/|sigma|, without width; in the conservative form only.
+    * :data:`GAIN_NAMES`: always.
+    * ``mean``: phi_1/sigma, in the conservative form, and in the implicit one for ``KNOWN_INTEGRALS``.
+    * ``slide_e``: (d phi_1/d e)(1 + tau_av/T_s), in the conservative form only.
+    * ``by_e``: the largest |d phi_1/d e|/|sigma| as both ends of an interval, in the conservative form only.
 
     Args:
         problem: The problem, with the functions and the sampled form.
@@ -72,7 +72,15 @@ class GainPoints(NamedTuple):
 def gain_points(
     problem: ProofProblem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0
 ) -> GainPoints:
-    """The gains on a grid of a region of sigma and e; the arguments are those of :func:`gain_hull`."""
+    """The gains on a grid over a region of sigma and e.
+
+    Args:
+        problem: The problem, with the functions and the sampled form.
+        sigma: Largest |sigma| [m/s].
+        e: Largest |e| [m].
+        sigma_from: Smallest |sigma| [m/s].
+        e_from: Smallest |e| [m].
+    """
     sigma_grid, error_grid = np.meshgrid(sigma_values(sigma_from, sigma), error_values(problem, e_from, e))
     s = sigma_grid.ravel()
     nominal = problem.nominal
@@ -90,7 +98,8 @@ def gain_points(
 def sigma_values(smallest: float, largest: float) -> np.ndarray:
     """Values of sigma [m/s] with smallest <= |sigma| <= largest, of either sign, shape (2 GRID,).
 
-    They are equally spaced in |sigma|^(1/2). From 0 on they are geometric, since the functions change fastest there.
+    The values are equally spaced in |sigma|^(1/2). If ``smallest`` is 0, they form a geometric sequence instead, since
+    the functions change fastest near 0.
     """
     sizes = np.linspace(np.sqrt(smallest), np.sqrt(largest), GRID) ** 2
     if not smallest:
@@ -99,7 +108,7 @@ def sigma_values(smallest: float, largest: float) -> np.ndarray:
 
 
 def error_values(problem: ProofProblem, smallest: float, largest: float) -> np.ndarray:
-    """Values of e [m] with smallest <= |e| <= largest; one is enough where the functions do not depend on e."""
+    """Values of e [m] with smallest <= |e| <= largest, of either sign; only one if the functions do not depend on e."""
     if problem.functions["kind"] != "vgsta":  # Table 1
         return np.array([largest])
     positive = np.linspace(smallest, largest, GRID // 2 + 1)
@@ -114,11 +123,11 @@ def implicit_gains(
 
     Args:
         functions: The state-dependent functions.
-        s: sigma [m/s], (points,).
-        e: e [m], (points,).
+        s: sigma [m/s], shape (points,).
+        e: e [m], shape (points,).
         l0: Error pole [1/s].
         t: T_s [s].
-        predictor_gain: 1/k_n where the nominal control has its term 1/tau_m; else 0.
+        predictor_gain: 1/k_n if the nominal control has its term 1/tau_m; else 0.
     """
     k_o, tau_av, tau_m = functions.at(s, e, l0)
     proportional = 1.0 / (k_o * tau_av)  # K_P
@@ -136,21 +145,31 @@ def implicit_gains(
 
 @jax.jit
 def mean_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar) -> jax.Array:
-    """phi_1/sigma, the mean of K_P over [0, sigma], at points (sigma, e), shape (points,)."""
+    """phi_1/sigma, the mean of K_P over [0, sigma], at points (sigma, e), shape (points,).
+
+    Args:
+        functions: The state-dependent functions, whose integral phi_1 must be known.
+        s: sigma [m/s], shape (points,).
+        e: e [m], shape (points,).
+        l0: Error pole [1/s].
+    """
     return jnp.broadcast_to(functions.law(s, e, functions.at(s, e, l0)).gain, s.shape)
 
 
 def increment_errors(problem: ProofProblem, size: np.ndarray, change: float) -> np.ndarray:
-    """R(sigma), how far the implicit form's increment of v is from the change of phi_1 over a sample, (points,).
+    """R(sigma), a bound of the difference of the implicit form's increment of v from the change of phi_1 [m/s].
 
-    It is the largest |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| over |sigma - s| <= C. K_P falls with |sigma|
-    and is convex in it. So for |sigma| < C the largest is at most that of sigma = 0, and elsewhere that of s = sigma -
-    C, the end next to 0.
+    R is the largest |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| over |sigma - s| <= C. K_P falls with |sigma|
+    and is convex in it. So for |sigma| < C the value at sigma = 0 is a bound. Elsewhere the largest value is that of
+    |s| = |sigma| - C, the end next to 0.
 
     Args:
         problem: The problem, with functions of sigma alone.
         size: |sigma| at each point [m/s], shape (points,).
         change: C, the largest change of sigma in a sample [m/s].
+
+    Returns:
+        Shape (points,).
     """
     points = np.concatenate([[0.0, change], size, np.maximum(size - change, 0.0)])
     with jax.enable_x64(True):
@@ -175,9 +194,20 @@ def conservative_gains(
 ) -> GainArrays:
     """The gains of the conservative form at points (sigma, e), by the names of :func:`gain_hull`.
 
-    K_P and d phi_1/d e are means over a sample, whereas tau_av belongs to its end. So their products ``slide_p`` and
-    ``slide_e`` are bounded by the products of their extremes over all points. The arguments are those of
-    :func:`implicit_gains`.
+    K_P and d phi_1/d e are means over the sample, whereas tau_av is the value at the sample's end. So ``slide_p`` and
+    ``slide_e`` are bounded by products of the extremes of their factors over all points.
+
+    Args:
+        functions: The state-dependent functions.
+        s: sigma [m/s], shape (points,).
+        e: e [m], shape (points,).
+        l0: Error pole [1/s].
+        t: T_s [s].
+        predictor_gain: 1/k_n if the nominal control has its term 1/tau_m; else 0.
+
+    Returns:
+        An array of shape (points,) for each gain. ``slide_p`` and ``slide_e`` are the two ends of an interval, shape
+        (2,); ``by_e`` is one largest value, shape (1,).
     """
     at = functions.at(s, e, l0)
     law = functions.law(s, e, at)
@@ -203,14 +233,15 @@ def conservative_gains(
 
 
 def start_ratio(problem: ProofProblem, *, is_integrated: bool) -> Interval:
-    """The interval of -v/sigma_0 (or -q/sigma_0) before the first sample, apart from d_r + f.
+    """The interval of -v/sigma_0 before the first sample, over all starts of the problem; of -q/sigma_0 if z has q.
 
-    Before it u_av = 0. So the start ``zero`` has v = q = 0 with s = 0. The others have s = sigma_0, hence q =
-    -phi_1(sigma_0). ``midpoint`` adds only half of the first T_s phi_2, so its v and q are (T_s/2) phi_2 lower.
+    The share of d_r + f in v is left out. Before the first sample u_av = 0. The start ``zero`` has s = 0, hence v = q =
+    0. The others have s = sigma_0, hence q = -phi_1(sigma_0). ``midpoint`` adds only half of the first T_s phi_2, so
+    its v and q are lower by (T_s/2) phi_2.
 
     Args:
         problem: The loop and its uncertain numbers.
-        is_integrated: Whether the coordinate is q = v - phi_1(sigma_0) in place of v.
+        is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     if problem.start == "zero":
         return 0.0, 0.0
@@ -227,7 +258,7 @@ def start_ratio(problem: ProofProblem, *, is_integrated: bool) -> Interval:
 
 
 def magnitudes_of(pair: Interval) -> Interval:
-    """The interval of |x| for x in an interval; it begins at 0 if the ends have no common sign."""
+    """The interval of |x| for x in an interval; it begins at 0 if the interval contains 0."""
     low, high = pair
     smallest = min(abs(low), abs(high)) if low * high > 0.0 else 0.0
     return smallest, max(abs(low), abs(high))
@@ -236,7 +267,7 @@ def magnitudes_of(pair: Interval) -> Interval:
 class Region(NamedTuple):
     """A region of sigma and e, cut into pieces of |sigma| in each of which the gains vary less.
 
-    The pieces are equal in |sigma|^(1/2).
+    The pieces have equal lengths in |sigma|^(1/2).
 
     Args:
         sigma: Bound of |sigma| [m/s].
@@ -254,9 +285,15 @@ class Region(NamedTuple):
 
 
 def region_of(problem: ProofProblem, sigma: float, e: float) -> Region:
-    """The region with bounds of |sigma| [m/s] and |e| [m], in so many pieces that K_P varies little in each.
+    """Cut a region of sigma and e into so many pieces of |sigma| that K_P varies little in each.
 
-    On a logarithmic scale of K_P a piece has the length of ``PIECE_RATIO`` on average.
+    The number of pieces is such that, on average, the largest K_P of a piece is ``PIECE_RATIO`` times the smallest; it
+    is at most ``MOST_PIECES``.
+
+    Args:
+        problem: The problem, with the functions and the sampled form.
+        sigma: Bound of |sigma| [m/s].
+        e: Bound of |e| [m].
     """
     hull = gain_hull(problem, sigma, e)
     low, high = hull["k_p"]

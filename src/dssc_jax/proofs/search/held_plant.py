@@ -1,8 +1,8 @@
 """The plant between two samples, chi' = F chi + G U with U held, in floating point.
 
-chi = (e, e', eta, zeta, m): error and its rate, zero dynamics, k_p times the state of the unmodelled dynamics G(mu s)
-or the commands that a delay holds, and the memory of a sensor's lag. Over a sample chi+ = Phi chi + Gamma U. No entry
-of F and G contains k_p, since U = k_p (command + d_r).
+chi = (e, e', eta, zeta, m): the error and its rate, the zero dynamics eta, the state zeta of the unmodelled dynamics
+G(mu s) or of a delay, which holds commands, times k_p, and the memory m of a sensor's lag. Over a sample chi+ = Phi chi
++ Gamma U. Since U = k_p (command + d_r) contains k_p, no entry of F and G does.
 """
 
 from functools import lru_cache
@@ -16,7 +16,7 @@ from dssc_jax.proofs.problem import Interval, ProofProblem, middle
 
 
 class HeldSample(NamedTuple):
-    """The plant over a sample, or another time, with a held command: chi+ = Phi chi + Gamma U.
+    """The plant with a held command over a sample, or over another time: chi+ = Phi chi + Gamma U.
 
     Args:
         phi: Phi, shape (n - 2, n - 2).
@@ -28,7 +28,7 @@ class HeldSample(NamedTuple):
 
 
 class StateLayout(NamedTuple):
-    """Where zeta and the sensor's memory m stand in z = (e, e', eta, zeta, m, v, s), and the length n of z."""
+    """The places of zeta and of the sensor's memory m in z = (e, e', eta, zeta, m, v, s), and the length n of z."""
 
     zeta: slice
     memory: slice
@@ -36,7 +36,7 @@ class StateLayout(NamedTuple):
 
 
 def state_layout(problem: ProofProblem) -> StateLayout:
-    """Places of the states in z = (e, e', eta, zeta, m, v, s)."""
+    """Places of zeta and m in z = (e, e', eta, zeta, m, v, s), and the length of z, for a problem."""
     zeta_start = 2 + len(problem.zero_a)
     # a denominator of degree n has n states; a delay holds all its commands but the one that acts first
     zeta_end = zeta_start + max(len(problem.denominator), len(problem.delay_weights)) - 1
@@ -48,9 +48,9 @@ class CompanionForm(NamedTuple):
     """G(mu s) as a state-space system in companion form.
 
     Args:
-        a: a_0 to a_(n-1), the coefficients of the monic denominator in rising powers, without the leading 1.
-        output: Output row, shape (n,).
-        direct: Feedthrough.
+        a: a_0 to a_(n-1), the coefficients of the monic denominator in rising powers of mu s, without the leading 1.
+        output: Output row over the n states, shape (n,).
+        direct: Feedthrough from the input to the output.
     """
 
     a: np.ndarray
@@ -75,7 +75,7 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
     Args:
         problem: The loop and its uncertain numbers.
         a_p: Damping [1/s].
-        rate: 1/mu [1/s] of G(mu s); unused without it.
+        rate: 1/mu [1/s] of G(mu s); unused without a transfer function.
 
     Returns:
         F, shape (n - 2, n - 2), and G, shape (n - 2,).
@@ -125,7 +125,13 @@ def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> HeldSam
 
 
 def held_matrix(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:
-    """[[F, G], [0, 0]], whose exponential solves the held plant, at a_p and 1/mu [1/s]; shape (n - 1, n - 1)."""
+    """[[F, G], [0, 0]], shape (n - 1, n - 1); its exponential solves the held plant.
+
+    Args:
+        problem: The loop and its uncertain numbers.
+        a_p: Damping [1/s].
+        rate: 1/mu [1/s] of G(mu s); unused without a transfer function.
+    """
     f, g = held_plant(problem, a_p, rate)
     size = f.shape[0]
     generator = np.zeros((size + 1, size + 1))
@@ -135,10 +141,10 @@ def held_matrix(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:
 
 
 class SensorWeights(NamedTuple):
-    """Weights of a sensor's lag, which shows (1 - kappa) y + m with a memory m.
+    """Weights of a sensor's lag, which measures (1 - kappa) y + m at a sample, with a memory m.
 
     Args:
-        kappa: Share of y that the sensor leaves out.
+        kappa: Share of y that the measurement leaves out.
         decay: lambda, the factor of m in a sample: m+ = lambda m + kappa (1 - lambda) y.
     """
 
@@ -155,13 +161,24 @@ def sensor_weights(problem: ProofProblem) -> SensorWeights:
 
 
 def held_matrices(problem: ProofProblem, a_p: float, rate: float) -> HeldSample:
-    """Phi and Gamma of one whole sample at a_p and 1/mu [1/s], with the step that the memories take at its end."""
+    """Phi and Gamma of one whole sample, including the step of the memories at the sample's end.
+
+    Args:
+        problem: The loop and its uncertain numbers.
+        a_p: Damping [1/s].
+        rate: 1/mu [1/s] of G(mu s); unused without a transfer function.
+    """
     phi, gamma = flow(problem, a_p, rate, problem.sample_time)
     return with_next_memories(problem, HeldSample(phi.copy(), gamma.copy()))
 
 
 def with_next_memories(problem: ProofProblem, sample: HeldSample) -> HeldSample:
-    """Replace, in place, the rows of Phi and Gamma for the memories of delay and sensor, which change at samples."""
+    """Replace, in place, the rows of Phi and Gamma for the memories of delay and sensor, which change at samples only.
+
+    Args:
+        problem: The loop and its uncertain numbers.
+        sample: Phi and Gamma of one sample, which are changed and returned.
+    """
     phi, gamma = sample
     zeta, memory, _ = state_layout(problem)
     if not problem.denominator:  # zeta holds past commands, the youngest first: each takes the place of the next older
@@ -181,10 +198,11 @@ def with_next_memories(problem: ProofProblem, sample: HeldSample) -> HeldSample:
 
 
 def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: int) -> list[HeldSample]:
-    """Phi and Gamma at a few points whose convex hull holds those of every 1/mu in an interval.
+    """Points of Phi and Gamma whose convex hull contains, nearly, those of every 1/mu in an interval.
 
-    On the interval the Taylor polynomial of exp([[F, G], [0, 0]] T_s) in 1/mu about the middle is a convex combination
-    of its coefficients in Bernstein's basis. These are the points. The polynomial's remainder is left out.
+    The points are the coefficients, in Bernstein's basis, of the Taylor polynomial of exp([[F, G], [0, 0]] T_s) in 1/mu
+    about the middle. On the interval the polynomial is a convex combination of them. Its remainder is left out; the
+    verifier adds it.
 
     Args:
         problem: The loop and its uncertain numbers.
@@ -211,6 +229,12 @@ def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: i
 
 
 def bernstein_weight(degree: int, i: int, k: int) -> float:
-    """The i-th coefficient of x^k in Bernstein's basis of polynomials on [-1, 1], 0 <= i <= degree."""
+    """The i-th coefficient of x^k in Bernstein's basis of the polynomials of a degree on [-1, 1].
+
+    Args:
+        degree: Degree of the basis.
+        i: Number of the coefficient, 0 to ``degree``.
+        k: Power of x, 0 to ``degree``.
+    """
     signed_sum = sum((-1) ** (k - j) * comb(i, j) * comb(degree - i, k - j) for j in range(k + 1))
     return signed_sum / comb(degree, k)

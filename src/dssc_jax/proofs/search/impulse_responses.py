@@ -13,11 +13,11 @@ TAIL_LEFT_OUT = 1e-5
 
 
 class Responses(NamedTuple):
-    """How much inputs and starts can move the signals of z+ = A z + B w.
+    """Bounds of the effects of inputs and starts on the signals of z+ = A z + B w.
 
     Args:
-        sums: Sum over all samples of |response| to a unit impulse (the l1 norm), shape (signals, inputs). An input
-            that stays within 1 moves the signal by this at most.
+        sums: Sum over all samples of |response| to a unit impulse (the l1 norm), shape (signals, inputs). An input of
+            magnitude at most 1 moves the signal by at most this sum.
         peaks: Largest |response| over all samples and starts, shape (signals,).
     """
 
@@ -37,7 +37,7 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
         starts: States z_0 in which the system may start, as columns, shape (n, starts).
 
     Returns:
-        None if the responses last longer than ``MOST_SAMPLES``, or are not finite.
+        Sums and peaks; None if the responses last longer than ``MOST_SAMPLES``, or are not finite.
     """
     n = a.shape[0]
     q = inputs.shape[1]
@@ -51,7 +51,7 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
     block_jump = jump @ jump_powers[-1]
     short_rows = np.concatenate(row_powers)
     long_jumps = np.concatenate(jump_powers)
-    decay_share = 1.0 - spectral_radius(block_jump)  # what the slowest mode loses in a block
+    decay_share = 1.0 - spectral_radius(block_jump)  # share that the slowest mode loses in a block
     z = np.concatenate([inputs, starts], axis=1)
     sums = np.zeros((m, q))
     peaks = np.zeros((m, starts.shape[1]))
@@ -86,11 +86,11 @@ class Decay(NamedTuple):
 
 
 def decay_of(a: np.ndarray) -> Decay:
-    """A V = z'Pz that falls along z+ = A z, by which the verifier bounds the tails of the responses.
+    """Find a V = z'Pz that falls along z+ = A z, by which the verifier bounds the tails of the responses.
 
-    The state may shrink half as fast as its slowest mode does, so that V has room. P solves a Lyapunov equation in
-    coordinates z = S x, where the states that a unit input in every direction excites have size 1; this keeps P well
-    conditioned.
+    V need only fall half as fast as the slowest mode allows, which leaves room for the verifier. P solves a Lyapunov
+    equation in coordinates z = S x, in which the states that unit inputs in every direction excite have size 1. This
+    keeps P well conditioned.
 
     Args:
         a: A, stable, shape (n, n).

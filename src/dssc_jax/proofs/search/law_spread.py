@@ -1,9 +1,10 @@
-"""How far the control law deviates from a linear one in a region of sigma and e, in floating point.
+"""Bounds of the control law's deviation from a linear law in a region of sigma and e, in floating point.
 
-There are three ways to bound it. With the state v, the gains K_P, K_I, K_N deviate from those of the middle loop. With
-q = v - phi_1, the functions phi_1, phi_2 and n = sigma/(k_n tau_m) deviate from straight lines: by so many |sigma|, or
-by a constant. The bound in |sigma| is smaller near sigma = 0, the constant over a wide region. In the implicit form the
-increment of v is not quite the change of phi_1, which adds the deviation R(sigma). docs/proofs.md has the inequalities.
+There are three ways to bound the deviation. With the state v, the gains K_P, K_I, K_N deviate from those of the middle
+loop. With q = v - phi_1, the functions phi_1, phi_2 and n = sigma/(k_n tau_m) deviate from straight lines. This
+deviation is bounded by a multiple of |sigma|, which is smaller near sigma = 0, or by a constant, which is smaller over
+a wide region. In the implicit form the increment of v differs from the change of phi_1, so that R(sigma) is added.
+docs/proofs.md has the inequalities.
 """
 
 from typing import NamedTuple
@@ -53,9 +54,9 @@ class StageRegion(NamedTuple):
 
 
 class Deviation(NamedTuple):
-    """A bound ``change`` |sigma - s| + ``sigma`` |sigma| + ``constant`` of how far a term is from its linear one.
+    """A bound of a term's deviation from its linear form: ``change`` |sigma - s| + ``sigma`` |sigma| + ``constant``.
 
-    s is sigma at the sample before. ``constant`` is in the unit of the term, m/s; the other two have none.
+    s is sigma at the sample before. ``constant`` is in the unit of the term [m/s]; the other two have no unit.
     """
 
     change: float
@@ -64,17 +65,17 @@ class Deviation(NamedTuple):
 
 
 class LawSpread(NamedTuple):
-    """The control law in a region: the gains of a linear middle loop, and how far the law deviates from it.
+    """The control law in a region: the gains of a linear middle loop, and bounds of the law's deviations from it.
 
     Args:
         is_integrated: Whether the coordinate is q = v - phi_1; otherwise it is v.
         gains: Interval of each gain, by its name in :data:`GAIN_NAMES`; the middle loop has the middle of each. With
-            q, phi_1/sigma stands in place of K_P.
-        integral: omega_v, deviation of the increment of v or q in a sample.
-        command: omega_u, deviation of the command, without the deviation of the v or q in it.
-        slide: Deviation of the equivalent control u_eq; in the conservative form without the part that
+            the coordinate q, phi_1/sigma replaces K_P.
+        integral: Bound of omega_v, the deviation of the increment of v or q in a sample.
+        command: Bound of omega_u, the deviation of the command apart from that of its v or q.
+        slide: Bound of the deviation of the equivalent control u_eq; in the conservative form without the part that
             :func:`slide_hull` bounds.
-        slide_e: Factor of the change of e in a sample with which e adds to u_eq [m/s per m].
+        slide_e: Factor by which a change of e in a sample adds to u_eq [m/s per m].
     """
 
     is_integrated: bool
@@ -86,10 +87,14 @@ class LawSpread(NamedTuple):
 
 
 def law_spreads(problem: ProofProblem, region: StageRegion) -> list[LawSpread]:
-    """The control law in a region, once for each way in which its deviation from a linear one can be bounded.
+    """Describe the control law in a region, once for each way to bound its deviation from a linear law.
 
-    The implicit form has gains that deviate, always; with a known integral phi_1 it has q as well. The conservative
-    form has q only.
+    The implicit form always has the way by its gains, with the coordinate v. If the integral phi_1 is known, it also
+    has the two ways with q. The conservative form has these two ways only.
+
+    Args:
+        problem: The loop, with its sampled form and functions.
+        region: Bounds of |sigma|, |e| and the change of sigma in a sample; the change must not be 0.
     """
     points = gain_points(problem, region.sigma, region.e)
     hull = {name: with_room(column) for name, column in points.columns.items()}
@@ -134,7 +139,7 @@ def ratio_spread(problem: ProofProblem, hull: Hull, half_width: dict[str, float]
         problem: The loop with its sample time T_s and the form of its law.
         hull: Interval of each gain in the region, by name.
         half_width: Half of each interval's width, by name.
-        change_ratio: R(0)/C, by which |sigma - s| adds to q in the implicit form; 0 in the conservative one.
+        change_ratio: R(0)/C, the factor of |sigma - s| in the deviation of q's increment; 0 in the conservative form.
     """
     is_implicit = problem.form == "implicit"
     slide_change = half_width["slide_p"] if is_implicit else 0.0  # slide_hull bounds it in the conservative form
@@ -158,7 +163,8 @@ def function_spread(
         by_ratio: The law whose deviations are bounded in |sigma|, from :func:`ratio_spread`.
         half_width: Half of the width of each gain's interval.
         sample_time: T_s [s].
-        errors: R(sigma), from :func:`~dssc_jax.proofs.search.gains.increment_errors`, shape (points,).
+        errors: R(sigma) by :func:`~dssc_jax.proofs.search.gains.increment_errors`, 0 in the conservative form;
+            shape (points,).
     """
     size = np.abs(points.sigma)
     phi_1_ratios = points.columns["mean"]  # phi_1/sigma
@@ -185,9 +191,9 @@ def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float, offset: 
 
     Args:
         size: |sigma| at the points, shape (points,).
-        ratio: f(sigma)/sigma there, shape (points,).
+        ratio: f(sigma)/sigma at the points, shape (points,).
         slope: Slope of the straight line.
-        offset: What adds to the distance, a number or shape (points,).
+        offset: Number that is added to the distance, the same at all points or shape (points,).
     """
     distance = float(np.max(np.abs(ratio - slope) * size + offset))
     rounding = SLOPE_ROUNDING * abs(slope) * float(size.max())
@@ -197,11 +203,11 @@ def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float, offset: 
 def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
     """The slope of the straight line through 0 with the least largest distance from a function f(sigma).
 
-    The largest distance is convex in the slope, so that cutting thirds off an interval finds the least.
+    The largest distance is convex in the slope, so that a ternary search over an interval of slopes finds the least.
 
     Args:
         size: |sigma| at some points, shape (points,).
-        ratio: f(sigma)/sigma there, shape (points,).
+        ratio: f(sigma)/sigma at the points, shape (points,).
     """
     low = float(ratio.min())
     high = float(ratio.max())
@@ -225,13 +231,13 @@ def middle_gains(spread: LawSpread) -> list[float]:
 def slide_hull(problem: ProofProblem, region: StageRegion, error_change: float) -> Interval:
     """The interval of K_P (1 + tau_av/T_s), the gain of sigma - s in the equivalent control; it has no unit.
 
-    In the conservative form K_P is a mean over the sample, whereas tau_av belongs to its end. With a constant k_o,
-    tau_av = 1/(k_o g) with the slope g of phi_1. So tau_av K_P is 1/k_o times a ratio of slopes at points within one
-    sample, which varies less than the product of the extremes.
+    In the conservative form K_P is a mean over the sample, whereas tau_av is the value at the sample's end. With a
+    constant k_o, tau_av = 1/(k_o g) with the slope g of phi_1. So tau_av K_P is 1/k_o times a ratio of slopes at points
+    within one sample, which varies less than the product of the extremes. The narrower interval is returned.
 
     Args:
         problem: The loop and its uncertain numbers.
-        region: The region.
+        region: The region, with a bound of the change of sigma in a sample.
         error_change: Bound of the change of e in a sample [m].
     """
     hull = gain_hull(problem, region.sigma, region.e)
@@ -255,11 +261,12 @@ def width(interval: Interval) -> float:
 def slope_ratio(problem: ProofProblem, region: StageRegion, error_change: float) -> float:
     """The largest ratio of the slopes d phi_1/d sigma at two points that the loop can pass within one sample.
 
-    Each cell of a grid of sigma and e is compared with all cells that are near enough.
+    The slopes at the corners of each cell of a grid of |sigma| and |e| are compared with those of all cells that the
+    loop can reach from it within one sample.
 
     Args:
         problem: The loop and its uncertain numbers.
-        region: The region.
+        region: The region, with a bound of the change of sigma in a sample.
         error_change: Bound of the change of e in a sample [m].
     """
     sigma, e, change = region

@@ -1,17 +1,17 @@
-"""What keeps a search from a proof."""
+"""The reasons why a search finds no proof."""
 
 from enum import StrEnum
 
 
 class Obstacle(StrEnum):
-    """The step of a proof that fails.
+    """The condition that a search for a proof cannot meet.
 
-    * ``ORIGIN``: stability at sigma = e = 0.
-    * ``DECAY``: a common quadratic function that decreases for all gains of the smallest region.
-    * ``REGION``: an invariant set that holds the start and stays in a region whose gains it allows.
-    * ``GAIN``: bounds of the signals that imply themselves.
-    * ``SLIDING``: an equivalent control within rho.
-    * ``VERIFIER``: the verifier's check of what the search found.
+    * ``ORIGIN``: the loop is stable at sigma = e = 0.
+    * ``DECAY``: a common quadratic function decreases for all gains of the smallest region.
+    * ``REGION``: an invariant set, or bounds of the signals, hold the start and lie in the region of their gains.
+    * ``GAIN``: bounds of the signals imply themselves.
+    * ``SLIDING``: the equivalent control is within rho.
+    * ``VERIFIER``: the verifier accepts the proof that the search found.
     """
 
     ORIGIN = "origin"

@@ -17,15 +17,15 @@ from dssc_jax.proofs.search.sampled_loop import Step
 
 clarabel: Any = importlib.import_module("clarabel")  # its extension module has no types
 SLACK = 1e-7
-"""Smallest eigenvalue that is asked of every scaled matrix, so that rounding P does not spoil the proof."""
+"""Smallest eigenvalue that every scaled matrix must have, so that the rounding of P does not invalidate the proof."""
 TIGHT = 1e-4
-"""Share of every bound that is left free, for the same reason."""
+"""Share of every bound that is left free, so that the rounding of P does not invalidate the proof."""
 TRIES = 3
 """Number of coordinates S in which a program is solved before it counts as unsolved."""
 FIRST_STEPS = 16
 """Number of steps in the first program of a loop."""
 ADDED = 6
-"""Largest number of violated steps that join a program before it is solved again."""
+"""Largest number of violated steps that are added to a program before it is solved again."""
 GAP = 1e-4
 """Accuracy of a program's cost; its inequalities are met as well as Clarabel meets them by default."""
 SOLVED = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
@@ -35,8 +35,8 @@ class Affine(NamedTuple):
     """A symmetric matrix that is affine in the variables of a program.
 
     Args:
-        origin: Value where all variables are zero, (k, k).
-        slopes: Increase per unit of each variable, (variables, k, k).
+        origin: Value where all variables are zero, shape (k, k).
+        slopes: Increase per unit of each variable, shape (variables, k, k).
     """
 
     origin: np.ndarray
@@ -44,13 +44,13 @@ class Affine(NamedTuple):
 
 
 class BoundedRow(NamedTuple):
-    """A signal row z whose size in the set {V <= 1} is to stay below a bound.
+    """A signal, row z, that should be small in the set {V <= 1}.
 
     Args:
         row: The signal as a row over z, shape (n,).
         bound: The bound of |row z|.
-        weight: Weight of (|row z|/bound)^2 in the cost. None: the bound may be exceeded, and the largest
-            (|row z|/bound)^2 of all such rows joins the cost.
+        weight: Weight of the largest (|row z|/bound)^2 in the cost; the bound must then hold. None: the bound may be
+            exceeded, and the largest (|row z|/bound)^2 over all such rows is added to the cost.
     """
 
     row: np.ndarray
@@ -75,16 +75,16 @@ class Solution(NamedTuple):
 def scaling(step: Step, starts: Sequence[np.ndarray], decay: float) -> np.ndarray | None:
     """Coordinates z = S x in which the states that starts and inputs excite have size 1.
 
-    S is a Cholesky factor of the stationary covariance of z+ = A z + noise. The noise has the directions of the inputs
-    and of the starts, and a little of all others.
+    S is a Cholesky factor of the stationary covariance of z+ = A z + noise. The noise acts along the inputs and the
+    starts, and a little in all other directions.
 
     Args:
         step: One sample.
         starts: States in which the loop may start, shape (n,) each.
-        decay: Share of the slowest mode that is lost in a sample.
+        decay: Share that the slowest mode loses in a sample.
 
     Returns:
-        S, shape (n, n); None if the loop is not stable, or so little of a direction is excited that S does not exist.
+        S, shape (n, n); None if the loop is not stable, or if the covariance is not numerically positive definite.
     """
     n = step.a.shape[0]
     if spectral_radius(step.a) >= 1.0:
@@ -100,7 +100,7 @@ def scaling(step: Step, starts: Sequence[np.ndarray], decay: float) -> np.ndarra
 
 
 def triangles(matrices: np.ndarray) -> np.ndarray:
-    """Symmetric matrices as Clarabel's cones take them: the upper triangle by columns, off-diagonals times sqrt(2).
+    """Write symmetric matrices for Clarabel's cones: the upper triangle by columns, off-diagonals times sqrt(2).
 
     Args:
         matrices: k symmetric matrices, shape (k, n, n), or a single one, shape (n, n).
@@ -163,9 +163,9 @@ class SetPrograms(NamedTuple):
         sample_time: T_s [s].
         starts: States that a set may have to hold, shape (n,) each.
         scale: S of the coordinates z = S x, shape (n, n).
-        spare: Share of the decay and of the multipliers that is left for the widths of the verifier's balls.
-        active: Indices of the steps that the last program took in. It is changed in place, so that the next program
-            begins with them.
+        spare: Share of lambda and of the multipliers that is left for the widths of the verifier's balls.
+        active: Indices of the steps in the last program. The list is changed in place, so that the next program begins
+            with the same steps.
     """
 
     sample_time: float
@@ -181,18 +181,19 @@ def invariant_set(
     """Find V = z'Pz such that {V <= 1} is invariant, attracts, and keeps some signals small (premise P6).
 
     For every step (A, B) and inputs |w_j| <= 1: V(z+) <= (1 - T_s lambda) V(z) + T_s sum of mu_j w_j^2, and the sum of
-    mu_j is at most lambda. Few steps decide the solution, so the others are left out until a solution violates them.
-    Where a solution is not accurate enough, its own P gives the coordinates S of another try.
+    mu_j is at most lambda. Few steps decide the solution. So the program has only some steps at first, and those that
+    its solution violates are added. If a solution violates only steps that the program already has, the solver was not
+    accurate enough; then the P of this solution gives the coordinates S of another try.
 
     Args:
-        programs: What the programs of the loop share.
+        programs: The data that the programs of the loop share.
         steps: A and B at every corner of plant and gains.
         rate: lambda [1/s].
         rows: Signals to bound in the set.
         holds_start: Whether the set has to hold the starts.
 
     Returns:
-        None if the program has no solution.
+        The set; None if the program has no solution, or none that is accurate enough.
     """
     a = np.stack([step.a for step in steps])
     b = np.stack([step.b for step in steps])
@@ -218,7 +219,7 @@ def invariant_set(
 
 
 def decrease_slack(a: np.ndarray, b: np.ndarray, sample_time: float, solution: Solution) -> np.ndarray:
-    """How much more V falls over each step than it has to, shape (steps,); positive if P6 holds.
+    """The excess of V's fall over the required fall in each step; P6 holds where it is positive.
 
     With P = R R', x = R'z and inputs scaled by (T_s mu_j)^(1/2), P6 reads |x+|^2 <= (1 - T_s lambda) |x|^2 + |w|^2.
 
@@ -229,7 +230,8 @@ def decrease_slack(a: np.ndarray, b: np.ndarray, sample_time: float, solution: S
         solution: P, multipliers and rate.
 
     Returns:
-        The smallest eigenvalue of this quadratic form of (x, w); -inf where an input without a multiplier acts.
+        The smallest eigenvalue of the right side less the left side, a quadratic form of (x, w), for each step, shape
+        (steps,); -inf where an input without a multiplier acts.
     """
     root = np.linalg.cholesky(solution.p)  # R
     has_multiplier = solution.multipliers > 0.0
@@ -245,7 +247,7 @@ def decrease_slack(a: np.ndarray, b: np.ndarray, sample_time: float, solution: S
 def solve_set(
     programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[BoundedRow], *, holds_start: bool
 ) -> Solution | None:
-    """Solve the program of :func:`invariant_set` for some of its steps; None if it has no solution."""
+    """Solve the program of :func:`invariant_set`, with the same arguments, for some steps only; None if unsolved."""
     program = SetProgram(programs, steps, rate, rows, programs.starts if holds_start else [])
     x = minimiser(program.cost(), program.matrices(), program.inequalities())
     return None if x is None else program.solution(x)
@@ -254,12 +256,12 @@ def solve_set(
 class SetProgram:
     """The matrices of one semidefinite program of :func:`invariant_set`.
 
-    Its variables are, in this order: the entries of S'P S, that is of P in the coordinates z = S x; the multiplier of
-    each input that acts; for each row with a weight, a bound of its largest (|row z|/bound)^2 in the set; and, if there
-    are rows without a weight, one such bound for all of them.
+    The variables are, in this order: the entries of S'P S, which is P in the coordinates z = S x; the multiplier of
+    each input that acts; for each row with a weight, a bound of the largest (|row z|/bound)^2 in the set; and one such
+    bound for all rows without a weight, if there are any.
 
     Args:
-        programs: What the programs of the loop share.
+        programs: The data that the programs of the loop share.
         steps: A and B of the steps over which V has to fall.
         rate: lambda [1/s].
         rows: Signals to bound in the set.
@@ -274,7 +276,7 @@ class SetProgram:
         rows: Sequence[BoundedRow],
         starts: Sequence[np.ndarray],
     ) -> None:
-        """Count the variables: which inputs act, and which rows have a weight."""
+        """Store the arguments, find the inputs that act and the rows with a weight, and count the variables."""
         self.sample_time = programs.sample_time
         self.scale = programs.scale
         self.inverse = np.linalg.inv(programs.scale)
@@ -284,7 +286,7 @@ class SetProgram:
         self.starts = starts
         self.n = self.scale.shape[0]
         self.entries = self.n * (self.n + 1) // 2
-        # the symmetric matrix that belongs to a unit of each entry of P
+        # for each entry of P, the symmetric matrix in which this entry is 1
         self.basis = np.stack([symmetric_of(unit, self.n) for unit in np.eye(self.entries)])
         self.inputs = steps[0].b.shape[1]
         self.active_inputs = [j for j in range(self.inputs) if any(np.any(step.b[:, j]) for step in steps)]
@@ -294,7 +296,7 @@ class SetProgram:
         self.count = self.first_square + len(self.weighted_rows) + bool(self.minimax_rows)
 
     def cost(self) -> np.ndarray:
-        """Cost of each variable: a row's weight for the bound of its square; 1 for the common bound of all others."""
+        """Cost of each variable: the weight of a row for the bound of its square, 1 for the common bound, else 0."""
         cost = np.zeros(self.count)
         cost[self.first_square :] = 1.0
         for j, bounded_row in enumerate(self.weighted_rows):
@@ -302,7 +304,7 @@ class SetProgram:
         return cost
 
     def matrices(self) -> list[Affine]:
-        """The matrices that must be positive semidefinite: V falls over each step, and squares have their bounds."""
+        """The matrices that must be positive semidefinite, so that V falls over each step and squares are bounded."""
         matrices = [self.decrease(step) for step in self.steps]
         for j, bounded_row in enumerate(self.weighted_rows):
             matrices.append(self.bounded_square(self.first_square + j, bounded_row))
@@ -311,11 +313,11 @@ class SetProgram:
         return matrices
 
     def decrease(self, step: Step) -> Affine:
-        """How much more than required V falls over a step, as a quadratic form of the state z and the inputs w.
+        """The excess of V's fall over a step, over T_s, as a quadratic form of the state z and the inputs w.
 
         It is ((1 - T_s lambda) V(z) - V(z+))/T_s + sum of mu_j w_j^2; see :func:`invariant_set`. ``spare`` enlarges
-        lambda and reduces the multipliers mu_j, and SLACK is taken from all eigenvalues. With A = I + T_s Delta and
-        B = T_s B_delta, (V(z+) - V(z))/T_s at w = 0 is the form of P Delta + Delta'P + T_s Delta'P Delta.
+        lambda and reduces the multipliers mu_j, and ``SLACK`` is subtracted from all eigenvalues. With A = I + T_s
+        Delta and B = T_s B_delta, (V(z+) - V(z))/T_s at w = 0 is the form of P Delta + Delta'P + T_s Delta'P Delta.
         """
         n = self.n
         entries = self.entries
@@ -354,8 +356,8 @@ class SetProgram:
     def inequalities(self) -> np.ndarray:
         """Rows whose product with (x, 1) must not be negative, shape (rows, variables + 1).
 
-        In this order: the multipliers add up to the rate at most, the set holds each start, no multiplier is negative,
-        and each weighted row stays within its bound.
+        The rows state, in this order, that the multipliers add up to at most lambda, that the set holds each start,
+        that no multiplier is negative, and that each row with a weight stays within its bound.
         """
         multipliers = len(self.active_inputs)
         linear = np.zeros((1 + len(self.starts) + multipliers + len(self.weighted_rows), self.count + 1))
@@ -376,7 +378,7 @@ class SetProgram:
         return linear
 
     def solution(self, x: np.ndarray) -> Solution | None:
-        """The set that the solver's variables x describe, in z; None if P or a bound fails by the solver's error."""
+        """Convert the solver's x to a set in z; None if, by the solver's error, P is not definite or a bound fails."""
         scaled_p = symmetric_of(x[: self.entries], self.n)
         p = self.inverse.T @ scaled_p @ self.inverse
         is_exceeded = any(largest_in_set(p, bounded_row.row) > bounded_row.bound for bounded_row in self.weighted_rows)

@@ -1,15 +1,15 @@
 """The sampled loop in sliding, z+ = A z + B w with |w_j| <= 1, in floating point.
 
-z = (chi, v, s). chi = (e, e', eta, zeta, m) is the plant of :mod:`dssc_jax.proofs.search.held_plant`, v stands for u_av
-and s for the sigma of the sample before. Disturbance and reference act together: with f, the nominal control's share of
-the reference, and d_r = d - (y_m'' + a_p y_m')/k_p, zeta is counted from -d_r and v from d_r + f. So U = k_p (command +
-d_r) vanishes where the loop rests. In a sample
+z = (chi, v, s), where chi = (e, e', eta, zeta, m) is the plant's state in :mod:`dssc_jax.proofs.search.held_plant`, v
+is u_av and s the sigma of the sample before. Disturbance and reference act together in d_r = d - (y_m'' + a_p y_m')/k_p
+and in f, the nominal control's share of the reference. zeta is counted from -d_r and v from d_r + f, so that U = k_p
+(command + d_r) vanishes where the loop rests. In a sample
 
     v+ = v + K_P (sigma - s) + T_s K_I sigma - Delta,    s+ = sigma,    chi+ = Phi chi + Gamma U + theta,
 
 where Delta is the change of d_r + f, and theta the effect of d_r(t) - d_r(t_k) within the sample. With the coordinate q
 = v - phi_1(s) in place of v, q+ = q + T_s phi_2 - Delta. A is affine in each of k_p, K_P, K_I and K_N, so a convex
-function of z+ is largest at their ends. docs/proofs.md derives these equations.
+function of z+ is largest at ends of their intervals. docs/proofs.md derives these equations.
 """
 
 from collections.abc import Iterable
@@ -33,11 +33,14 @@ from dssc_jax.proofs.search.held_plant import (
 INNER_STEPS = 16
 """Number of equal steps of a sample, after each of which the plant between the samples is evaluated."""
 ROOM = 1.02
-"""Factor that widens what happens between these steps, so that the verifier's enclosure fits in."""
+"""Factor that widens bounds found at these steps, for the times between them and for the verifier's enclosure."""
 
 
 class LoopGains(NamedTuple):
-    """K_P [1], K_I [1/s], and K_N [1] of the nominal control's term 1/tau_m; with q, phi_1/sigma in place of K_P."""
+    """The gains K_P, K_I [1/s], and K_N of the nominal control's term 1/tau_m.
+
+    If z contains q in place of v, ``k_p`` is phi_1/sigma.
+    """
 
     k_p: float
     k_i: float
@@ -45,7 +48,7 @@ class LoopGains(NamedTuple):
 
 
 class LoopPoint(NamedTuple):
-    """One plant with one set of gains: k_p [1/s], a_p [1/s], 1/mu [1/s] (0 without G), and the gains."""
+    """One plant with one set of gains: k_p [1/s], a_p [1/s], 1/mu [1/s] (0 without G(mu s)), and the gains."""
 
     k_p: float
     a_p: float
@@ -54,10 +57,10 @@ class LoopPoint(NamedTuple):
 
 
 class SignalRows(NamedTuple):
-    """Signals of the loop as rows c over z, so that each is c z; shape (n,) each.
+    """Signals of the loop as rows over z, shape (n,) each: a signal is the product of its row and z.
 
     Args:
-        e: The measured e.
+        e: The measured e, behind a sensor's lag.
         true_e: e itself.
         sigma: The measured sigma.
         change: sigma - s, the change of the measured sigma in a sample.
@@ -74,12 +77,12 @@ class Step(NamedTuple):
 
     Args:
         a: A, shape (n, n).
-        b: B, shape (n, inputs). Its inputs, each of size 1, are the change of d_r + f, the change of -f, and theta's
-            components along e, e' and eta.
+        b: B, shape (n, inputs). Its inputs, each of magnitude at most 1, stand for the change of d_r + f, the change of
+            -f, and theta's components along e, e' and eta.
         rows: Signals as rows over z.
         command: command + d_r as a row over z, shape (n,).
-        push: What a unit of command + d_r adds to z+, shape (n,).
-        jump: What a unit of a change of d_r adds to zeta, shape (n,).
+        push: The part of z+ that 1 m/s of command + d_r causes, shape (n,).
+        jump: The jump of z that a change of d_r by 1 m/s causes, shape (n,); only zeta jumps.
     """
 
     a: np.ndarray
@@ -91,7 +94,9 @@ class Step(NamedTuple):
 
 
 class SignalSizes(NamedTuple):
-    """Bounds over a box of d_r, the disturbance with the reference's share, and of f, the nominal control's share.
+    """Bounds, over a box of plants, of the signals d_r and f that disturbance and reference bring into the loop.
+
+    d_r is the disturbance less the reference's share, and f the nominal control's share of the reference.
 
     Args:
         level: Bound of |d_r| [m/s].
@@ -109,7 +114,7 @@ class SignalSizes(NamedTuple):
 
 
 def signal_sizes(problem: ProofProblem, box: Box) -> SignalSizes:
-    """Bounds of d_r and f over a box of plants, from the bounds of the reference's first three derivatives.
+    """Bounds of d_r and f over a box of plants, from bounds of d and of the reference's first three derivatives.
 
     d_r = d - (y_m'' + a_p y_m')/k_p and f = (y_m'' + a_n y_m')/k_n; without nominal control f = 0.
     """
@@ -146,9 +151,9 @@ def step_of(
     Args:
         problem: The loop and its uncertain numbers.
         point: Plant and gains.
-        box: Intervals over which the inputs are bounded; the columns of B have these bounds as factors.
+        box: Intervals of the plant over which the inputs are bounded; the bounds are factors of the columns of B.
         is_integrated: Whether z contains q = v - phi_1(s) in place of v; then the gain k_p is phi_1/sigma.
-        held_sample: Phi and Gamma; None: those of the point.
+        held_sample: Phi and Gamma; None: those at the point's a_p and 1/mu.
     """
     zeta, _, n = state_layout(problem)
     chi = n - 2
@@ -182,9 +187,10 @@ def step_of(
 
 
 def resting_zeta(problem: ProofProblem, u: float) -> np.ndarray:
-    """zeta where unmodelled dynamics or delay rest under a constant input u, shape (zeta,).
+    """The value of zeta at which the unmodelled dynamics or the delay rest under a constant input u, shape (zeta,).
 
-    In companion form only the first state is then not 0: it is u over the denominator's constant a_0.
+    In companion form only the first state is not 0: it is u over the denominator's constant coefficient a_0. A delay
+    holds u in every place.
     """
     zeta, *_ = state_layout(problem)
     if not problem.denominator:
@@ -197,9 +203,9 @@ def resting_zeta(problem: ProofProblem, u: float) -> np.ndarray:
 def signal_rows(problem: ProofProblem) -> SignalRows:
     """The signals as rows over z.
 
-    The state z begins with the error e and its rate e', and ends with s, the controller's sliding variable. A sensor
-    with a lag shows (1 - kappa) y + m of a signal y; its memories m of e and of e' are the part ``memory`` of z. Sigma
-    is e' + l_0 e.
+    The state z begins with the error e and its rate e', and ends with s, the sigma of the sample before. A sensor with
+    a lag measures (1 - kappa) y + m in place of a signal y; its memories m of e and of e' are the part ``memory`` of z.
+    Sigma is e' + l_0 e with the measured e and e'.
     """
     _, memory, n = state_layout(problem)
     state_rows = np.eye(n)
@@ -217,8 +223,14 @@ def signal_rows(problem: ProofProblem) -> SignalRows:
 def disturbance_effects(problem: ProofProblem, point: LoopPoint, box: Box) -> np.ndarray:
     """Bounds of the components of theta, the effect of d_r's change within a sample, shape (n - 2,).
 
-    A time t after the sample d_r has changed by D t at most. It acts through exp(F r) k_p b with a unit column b along
-    e'. So a component is at most D T_s^2/2 times the largest |exp(F r) k_p b| in the sample.
+    At a time t after the sample, d_r has changed by at most D t, where D bounds |d_r'|. It acts through exp(F r) k_p b
+    with a unit column b along e'. So a component is at most D T_s^2/2 times the component's largest |exp(F r) k_p b| in
+    the sample, which is taken at ``INNER_STEPS`` times and widened by ``ROOM``.
+
+    Args:
+        problem: The loop and its uncertain numbers.
+        point: Plant, of which a_p and 1/mu are used.
+        box: Intervals of the plant, for D and the largest k_p.
     """
     inner, _ = flow(problem, point.a_p, point.rate, problem.sample_time / INNER_STEPS)
     states = [np.eye(inner.shape[0])[1]]  # b
@@ -229,7 +241,12 @@ def disturbance_effects(problem: ProofProblem, point: LoopPoint, box: Box) -> np
 
 
 def box_middle(box: Box, gains: dict[str, Interval]) -> LoopPoint:
-    """The plant and the gains in the middle of their intervals: the linear middle loop."""
+    """The plant and the gains in the middle of their intervals, from which the linear middle loop follows.
+
+    Args:
+        box: Intervals of k_p, a_p and 1/mu.
+        gains: Intervals of the gains, of which ``k_p``, ``k_i`` and ``k_n`` are used.
+    """
     middle_gains = LoopGains(middle(gains["k_p"]), middle(gains["k_i"]), middle(gains["k_n"]))
     rate = middle(box.get("rate", (0.0, 0.0)))
     return LoopPoint(middle(box["k_p"]), middle(box["a_p"]), rate, middle_gains)
@@ -243,7 +260,7 @@ def box_steps(
     *,
     is_integrated: bool,
 ) -> Iterable[Step]:
-    """One sample at every vertex of plant and gains; in between, z+ is a convex combination of these.
+    """Yield one sample at every vertex of plant and gains; z+ of any other is a convex combination of these z+.
 
     The vertices are the ends of k_p, a_p and the gains, and the control points of 1/mu.
 
@@ -267,7 +284,7 @@ def box_steps(
 def start_corners(problem: ProofProblem, box: Box, ratio: Interval) -> list[np.ndarray]:
     """The states z in which the loop may start, at the ends of all uncertain numbers, shape (n,) each.
 
-    z is affine in the initial state, in d_r, in d_r + f and in the ratio, so every start is in the hull of these.
+    z is affine in each of the initial state, d_r, d_r + f and the ratio, so every start is in the hull of these states.
 
     Args:
         problem: The loop and its uncertain numbers.
@@ -301,9 +318,9 @@ def start_corners(problem: ProofProblem, box: Box, ratio: Interval) -> list[np.n
 
 
 def functions_of(problem: ProofProblem) -> Any:
-    """The state-dependent functions k_o, tau_av, tau_m of a problem, with their constants.
+    """Build the state-dependent functions k_o, tau_av, tau_m of a problem: a member of :data:`GAIN_FUNCTIONS`.
 
-    They are a member of :data:`GAIN_FUNCTIONS`.
+    The entry ``kind`` of the problem's functions names the row, and the other entries are the constants.
     """
     constants = dict(problem.functions)
     return GAIN_FUNCTIONS[constants.pop("kind")].members[None](**constants)

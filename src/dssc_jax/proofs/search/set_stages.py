@@ -32,7 +32,7 @@ from dssc_jax.proofs.search.sampled_loop import (
 )
 
 FIRST_REGION = 1.02
-"""Ratio of the first region to what the loop linearised at sigma = e = 0 reaches from its starts."""
+"""Ratio of the first region to the region that the loop linearised at sigma = e = 0 reaches from its starts."""
 LARGEST_REGION = 30.0
 """Ratio of the largest region that is tried to the first one."""
 MOST_REGIONS = 20
@@ -48,7 +48,7 @@ START_RATES = (0.3, 0.12, 0.04)
 RATES = (0.3, 0.6, 0.12, 0.04)
 """Values of lambda, over the decay of the loop's slowest mode, that are tried for a set after the first one."""
 ENOUGH = 0.98
-"""Ratio of a set's |e| to the last bound, up to which the set is worth its time."""
+"""Largest ratio of a set's bound of |e| to the last bound at which the set is worth its time."""
 ENOUGH_RATES = 2
 """Number of rates with a set after which no further rate is tried."""
 INFLATION = 1.001
@@ -60,9 +60,9 @@ SPARE_OF_BOXES = 0.1
 CHANGE_ROOM = 8.0
 """Bound of the change of sigma in a sample within a set, over its largest in the loop linearised at sigma = e = 0."""
 CHANGE_WEIGHT = 1e-3
-"""Weight of that change in the cost of a program."""
+"""Weight of the change of sigma in a sample in the cost of a program."""
 GAIN_ROOM = 1.03
-"""Factor that widens what phi_1 changes by with e, for the verifier's enclosure."""
+"""Factor that widens the change of phi_1 through e, for the verifier's enclosure."""
 SPEED_ROOM = 1.05
 """Factor that widens |e'| at the samples, for the time between them."""
 
@@ -76,7 +76,7 @@ class SetStage:
         e: Bound of |e| [m] in the region.
         level: Bound of |d| [m/s].
         slope: Bound of |d'| [m/s^2].
-        pieces: Number of pieces of |sigma|, equal in its root, in each of which the gains have their own intervals.
+        pieces: Number of pieces of |sigma|, each with its own intervals of the gains; they are equal in |sigma|^(1/2).
         degree: Degree of the polynomial in 1/mu that stands for the held plant.
         rate: lambda [1/s].
         multipliers: mu_j [1/s] of the inputs, with a sum of at most lambda.
@@ -121,9 +121,9 @@ class Setting(NamedTuple):
     programs: SetPrograms
 
     def steps(self, region: Region) -> list[Step]:
-        """One sample at every vertex of plant and gains, for each piece of a region: where V has to fall.
+        """One sample at every vertex of plant and gains, for each piece of a region; V has to fall over all of them.
 
-        With q the gains of a piece suffice. With v, :meth:`increments` widens them.
+        If z contains q, the intervals of the gains in a piece suffice. If z contains v, :meth:`increments` widens them.
         """
         steps: list[Step] = []
         for hull in region.pieces:
@@ -134,8 +134,9 @@ class Setting(NamedTuple):
     def increments(self, region: Region, hull: Hull) -> Hull:
         """The intervals of the gains in v+ = v + K_P (sigma - s) + T_s K_I sigma, in a piece of a region.
 
-        In the conservative form K_P is a mean over the sample, which may have begun in another piece. And K_I is
-        phi_2/sigma plus theta/T_s, where |theta sigma| bounds what phi_1 changes by through e.
+        In the conservative form K_P is a mean over the sample, which may have begun in another piece, so it has the
+        interval of the whole region. K_I is phi_2/sigma plus theta/T_s, where |theta sigma| bounds the change of phi_1
+        through e.
 
         Args:
             region: The region; K_P is taken over all of it, and its |sigma| and |e| bound the change of e in a sample.
@@ -155,12 +156,15 @@ class Setting(NamedTuple):
         }
 
     def error_change(self, region: Region) -> float:
-        """Bound of the change of e in a sample [m], T_s sup |e'| with e' = sigma - l_0 e."""
+        """Bound of the change of e in a sample [m] within a region, T_s sup |e'| with e' = sigma - l_0 e."""
         return self.problem.sample_time * SPEED_ROOM * (region.sigma + self.problem.l0 * region.e)
 
     @property
     def degree(self) -> int:
-        """Degree of the Taylor polynomial in 1/mu; its remainder is far below what V falls by in a sample."""
+        """Degree of the Taylor polynomial in 1/mu, for which the remainder is far below the fall of V in a sample.
+
+        It is the smallest such degree, and at most ``MOST_DEGREE``.
+        """
         low, high = self.box.get("rate", (0.0, 0.0))
         radius = 0.5 * (high - low) * self.problem.sample_time  # half of the width of T_s/mu
         allowed_remainder = CURVE_SHARE * min(RATES) * self.speed * self.problem.sample_time
@@ -182,15 +186,19 @@ class Setting(NamedTuple):
         return invariant_set(self.programs, steps, share * self.speed, rows, holds_start=holds_start)
 
     def has_common_v(self, steps: list[Step]) -> bool:
-        """Whether some V falls over every step at the smallest lambda, with no start to hold and no row to bound."""
+        """Whether some V falls over every step at the smallest lambda, without any start to hold or signal to bound."""
         return self.solve(steps, [], min(RATES), holds_start=False) is not None
 
 
 def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
-    """Bounds that keep the loop sliding, |u_eq - d_r - f| <= rho - sup |d_r + f| (P5); empty if there is no rho.
+    """The rows and bounds that keep the loop sliding, |u_eq - d_r - f| <= rho - sup |d_r + f| (P5); none without rho.
 
-    u_eq = v + slide_p (sigma - s) + slide_i sigma, a row over z at every pair of ends of the two gains. In the
+    u_eq = v + slide_p (sigma - s) + slide_i sigma gives a row over z for every pair of ends of the two gains. In the
     conservative form slide_p depends on the change of sigma in a sample, so this change may get a bound, too.
+
+    Args:
+        setting: The data that the programs of the box share.
+        region: The region in which the gains are taken.
     """
     problem = setting.problem
     if problem.rho is None:
@@ -209,7 +217,7 @@ def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
             low, high = piece["mean"]
             phi_1_deviations.append(max(abs(low - mean), abs(high - mean)) * largest_s)
         room -= max(phi_1_deviations)
-        room -= hull["slide_e"][1] * setting.error_change(region)  # what phi_1 changes by through e
+        room -= hull["slide_e"][1] * setting.error_change(region)  # the change of phi_1 through e
     else:
         hull = setting.increments(region, region.hull)
         v_row = integrator
@@ -226,7 +234,7 @@ def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
 
 
 def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) -> Setting | None:
-    """What all programs of a box share; None if the loop linearised at sigma = e = 0 is not stable.
+    """Make the data that all programs of a box share; None if the loop linearised at sigma = e = 0 is not stable.
 
     Args:
         problem: The loop and its uncertain numbers.
@@ -249,7 +257,10 @@ def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) 
 def first_set(setting: Setting) -> SetStage | Obstacle:
     """Search for an invariant set that holds every start and keeps the loop sliding, the first stage of a proof.
 
-    If there is none, further programs without some of the conditions tell which one is the obstacle.
+    If there is none, further programs without some of the conditions find out which condition cannot be met.
+
+    Returns:
+        The stage; or ``DECAY``, ``REGION`` or ``SLIDING``.
     """
     rows = setting.origin.rows
     excursions = [excursion(setting.origin, setting.programs.starts, row) for row in (rows.sigma, rows.e)]
@@ -266,12 +277,12 @@ def first_set(setting: Setting) -> SetStage | Obstacle:
 
 
 def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bool) -> SetStage | None:
-    """Search for an invariant set that holds every start and lies in the region whose gains it allows.
+    """Search for an invariant set that holds every start and lies in the region for whose gains it is invariant.
 
-    If the set for a region exceeds the region, the next region has the size of that set, with some room.
+    If the set for a region exceeds the region, the next region has the size of this set, with some room.
 
     Args:
-        setting: What the programs of the box share.
+        setting: The data that the programs of the box share.
         first_sizes: Bounds of |sigma| [m/s] and |e| [m] in the first region.
         slides: Whether the set has to keep the loop sliding.
     """
@@ -306,10 +317,10 @@ def set_with_start(
 ) -> Solution | None:
     """Find a set that holds every start, with the first of several rates lambda that allows one.
 
-    The size of the set hardly depends on the rate, so the first one is good enough.
+    The size of the set hardly depends on lambda, so the first lambda with a set is good enough.
 
     Args:
-        setting: What the programs of the box share.
+        setting: The data that the programs of the box share.
         steps: One sample at every vertex.
         rows: Signals to bound in the set.
         shares: Values of lambda over the decay of the slowest mode.
@@ -328,7 +339,7 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
     The first ``ENOUGH_RATES`` rates that allow a set are compared, and the set with the smallest |e| is taken.
 
     Args:
-        setting: What the programs of the box share.
+        setting: The data that the programs of the box share.
         sigma: Bound of |sigma| [m/s] in the region.
         e: Bound of |e| [m] in the region.
         shares: Values of lambda over the decay of the slowest mode.
@@ -365,9 +376,14 @@ def excursion(step: Step, starts: Sequence[np.ndarray], row: np.ndarray) -> floa
 
 
 def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
-    """Put a set into the form of a certificate's stage.
+    """Make a certificate's stage from a set.
 
-    Its region is at least as large in e as the set, since a set may exceed a region in e if no gain depends on e.
+    If no gain depends on e, the set may exceed the region in e. So the stage's bound of |e| is at least the set's.
+
+    Args:
+        result: The set.
+        region: The region in which the gains were taken.
+        setting: The data that the programs of the box share.
     """
     return SetStage(
         sigma=region.sigma,

@@ -1,7 +1,7 @@
 """Ball arithmetic for the verifier: balls from intervals, matrices of balls, and a proof of positive definiteness.
 
-A ball (`arb` of FLINT) is a midpoint and a radius that contain an exact number. A comparison of balls is true only if
-it holds for all numbers in them.
+A ball (`arb` of FLINT) is an interval, given by midpoint and radius, that contains an exact number. A comparison of two
+balls is true only if it holds for all numbers in both. An exact ball has the radius 0.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ class Rejected(Exception):
 
 
 class StageLimits(NamedTuple):
-    """What a stage of a proof shows: bounds of the signals, and of the disturbance that they allow.
+    """The bounds that a stage of a proof shows: of the signals, and of what these add to the disturbance.
 
     Args:
         sigma: Bound of |sigma| at the samples [m/s].
@@ -69,7 +69,7 @@ def ball_ends(ball: arb) -> tuple[arb, arb]:
 
 
 def maximum(*numbers: arb) -> arb:
-    """The largest of some exact balls, whose comparisons are always decided."""
+    """The largest of some exact balls. With wider balls, whose comparison may be undecided, the result may be wrong."""
     largest, *candidates = numbers
     for number in candidates:
         largest = largest if largest >= number else number
@@ -77,7 +77,7 @@ def maximum(*numbers: arb) -> arb:
 
 
 def minimum(*numbers: arb) -> arb:
-    """The smallest of some exact balls."""
+    """The smallest of some exact balls; wider balls are not allowed, as in :func:`maximum`."""
     smallest, *candidates = numbers
     for number in candidates:
         smallest = smallest if smallest <= number else number
@@ -85,7 +85,7 @@ def minimum(*numbers: arb) -> arb:
 
 
 def minimum_bound(a: arb, b: arb) -> arb:
-    """An upper bound, exact, of the smaller one of two numbers in balls."""
+    """An upper bound of min(a, b) for two balls, as an exact ball: the smaller one of their upper ends."""
     return minimum(a.upper(), b.upper())
 
 
@@ -126,7 +126,7 @@ def stack(blocks: Sequence[arb_mat]) -> arb_mat:
 
 
 def quadratic_form(matrix: arb_mat, state: arb_mat) -> arb:
-    """z'Mz, for a matrix M and a column z."""
+    """z'Mz, for a matrix M, shape (n, n), and a column z, shape (n, 1)."""
     return (state.transpose() * matrix * state)[0, 0]
 
 
@@ -137,19 +137,25 @@ def symmetric_matrix(rows: Sequence[Sequence[float]]) -> arb_mat:
 
 
 def symmetric_part(rows: list[list[arb]]) -> arb_mat:
-    """The mean of a matrix of balls and its transpose.
+    """The mean of a matrix of balls and its transpose, which encloses every symmetric matrix that the balls enclose.
 
-    The balls around a symmetric matrix need not be symmetric. They and their transpose hold it, so their mean does.
+    The balls themselves may be unsymmetric through rounding.
+
+    Args:
+        rows: Rows of the matrix, n rows of n balls.
     """
     n = len(rows)
     return arb_mat([[(rows[i][j] + rows[j][i]) / 2 for j in range(n)] for i in range(n)])
 
 
 def approximate_root(matrix: arb_mat) -> arb_mat | None:
-    """A lower triangular matrix L of exact balls with L L' close to the midpoint of a matrix.
+    """A lower triangular matrix L of exact balls with L L' close to the midpoint of a matrix, shape (n, n).
 
-    It is a Cholesky factor, computed row by row without regard to rounding, which does not matter to the caller. None
-    if the midpoint is not positive definite.
+    L is a Cholesky factor, computed row by row. Its rounding errors are not bounded: a caller may use L only where any
+    invertible matrix would be valid.
+
+    Returns:
+        L; None if a pivot is not positive, so that the midpoint does not appear positive definite.
     """
     n = matrix.nrows()
     root = [[arb(0)] * n for _ in range(n)]
@@ -168,8 +174,8 @@ def approximate_root(matrix: arb_mat) -> arb_mat | None:
 def positive_definite(matrix: arb_mat) -> bool:
     """Whether every symmetric matrix M within a matrix of balls is shown to be positive definite.
 
-    With L L' close to M, L^-1 M L^-T is close to I. By Gershgorin's theorem it is positive definite, and so is M, if in
-    each row the magnitudes of its difference from I add up to less than 1.
+    With L L' close to M, the matrix L^-1 M L^-T is close to I. If in each row the magnitudes of its difference from I
+    add up to less than 1, it is positive definite by Gershgorin's theorem, and so is M. False proves nothing.
     """
     root = approximate_root(matrix)
     if root is None:

@@ -1,4 +1,4 @@
-"""The types of a certificate's content. :mod:`dssc_jax.proofs.verifier.well_formed` checks that a file has them."""
+"""The types of a certificate's content. :mod:`dssc_jax.proofs.verifier.well_formed` checks a file against them."""
 
 from collections.abc import Mapping, Sequence
 from typing import TypedDict
@@ -10,7 +10,7 @@ Box = Mapping[str, Interval]
 
 
 class Problem(TypedDict):
-    """The loop: the entries of :class:`dssc_jax.proofs.problem.ProofProblem`, which documents them."""
+    """The loop of a certificate; :class:`dssc_jax.proofs.problem.ProofProblem` documents the entries."""
 
     sample_time: float
     l0: float
@@ -37,12 +37,12 @@ class Problem(TypedDict):
 
 
 class Stage(TypedDict):
-    """The entries of a stage of either method."""
+    """The entries that the stages of both methods have."""
 
     sigma: float  # bound of |sigma| [m/s] in the region
     e: float  # bound of |e| [m] in the region
-    level: float  # bound of |d| [m/s], with what the state adds
-    slope: float  # bound of |d'| [m/s^2], with what the state adds
+    level: float  # bound of |d| [m/s], including the state's share
+    slope: float  # bound of |d'| [m/s^2], including the state's share
     rate: float  # lambda [1/s], with which V = z'Pz falls
     p: Sequence[Sequence[float]]  # P, by rows
     method: str
@@ -68,7 +68,7 @@ class InvariantStage(Stage):
 
 
 class BoxProof(TypedDict):
-    """The proof of one box: the first stage holds every start; each later stage begins where the last one ends."""
+    """The proof of one box: the first stage covers every start, and each later stage begins where the last one ends."""
 
     box: Box
     stages: Sequence[SmallGainStage | InvariantStage]

@@ -22,7 +22,7 @@ SAMPLE_PIECES = 8
 
 
 class Corner(NamedTuple):
-    """One sample z+ = A z + B w with plant and gains at ends of their intervals.
+    """One sample z+ = A z + B w of the loop, for plant and gains at one combination of the ends of their intervals.
 
     Args:
         a: A, shape (n, n).
@@ -34,7 +34,9 @@ class Corner(NamedTuple):
 
 
 class SignalBounds(NamedTuple):
-    """Bounds over a box of d_r, the disturbance with the reference's share, and of f, the nominal control's share.
+    """Bounds, over a box of plants, of the signals d_r and f that disturbance and reference bring into the loop.
+
+    d_r is the disturbance less the reference's share, and f the nominal control's share of the reference.
 
     Args:
         level: Bound of |d_r| [m/s].
@@ -58,7 +60,7 @@ class SignalRows(NamedTuple):
         e: The measured e.
         sigma: The measured sigma.
         change: sigma - s, the change of sigma in a sample.
-        v: v, or q in its place.
+        v: v, or q if z contains q in place of v.
         s: s, the sigma of the sample before.
     """
 
@@ -70,7 +72,12 @@ class SignalRows(NamedTuple):
 
 
 def signal_bounds(problem: Problem, box: Box) -> SignalBounds:
-    """Bounds of d_r = d - (y_m'' + a_p y_m')/k_p and f = (y_m'' + a_n y_m')/k_n over a box of plants."""
+    """Bounds of d_r = d - (y_m'' + a_p y_m')/k_p and f = (y_m'' + a_n y_m')/k_n over a box of plants.
+
+    Args:
+        problem: The certificate's problem, with bounds of d and of the reference's derivatives.
+        box: Intervals of k_p and a_p; the nominal a_n and k_n are fixed numbers.
+    """
     d_level = arb(problem["level"])
     d_slope = arb(problem["slope"])
     speed, acceleration, jerk = map(arb, problem["reference"])
@@ -93,7 +100,10 @@ def signal_bounds(problem: Problem, box: Box) -> SignalBounds:
 
 
 def signal_rows(problem: Problem) -> SignalRows:
-    """The signals of the controller as rows over z; a sensor's lag shows (1 - kappa) y + m in place of y."""
+    """The controller's signals as rows over z.
+
+    Through a sensor's lag the controller sees (1 - kappa) y + m in place of y, with the memory m, and likewise y'.
+    """
     places = state_places(problem)
     unit = unit_rows(places.n)
     e, speed, *_, v, s = unit
@@ -111,13 +121,14 @@ def sample_corners(
 ) -> list[Corner]:
     """One sample at every vertex of plant and gains.
 
-    A of every plant and gain in the box lies in the hull of these, so what is convex in A holds for all of them.
+    The A of every plant in the box and every gain lies in the convex hull of the corners' A. So a condition that is
+    convex in A holds for all of them if it holds at the corners.
 
     Args:
         problem: The certificate's problem.
         box: Intervals of k_p, a_p and 1/mu.
         vertices: The held plant at its vertices, by :func:`dssc_jax.proofs.verifier.held_plant.held_vertices`.
-        gains: Balls of the gains.
+        gains: Balls of the gains, by name; the lower and the upper end of each ball are corners.
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     sizes = signal_bounds(problem, box)
@@ -138,9 +149,9 @@ def sample_matrix(
 
     Args:
         problem: The certificate's problem.
-        held_matrix: [[Phi, Gamma], [0, 1]] of the plant with a held command.
+        held_matrix: [[Phi, Gamma], [0, 1]] of the plant with a held command, shape (n - 1, n - 1).
         k_p: High-frequency gain [1/s].
-        gain: K_P, K_I and K_N; with q, phi_1/sigma in place of K_P.
+        gain: K_P, K_I and K_N; if z contains q, phi_1/sigma replaces K_P.
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     n = state_places(problem).n
@@ -155,7 +166,7 @@ def sample_matrix(
 
 
 class ControlRows(NamedTuple):
-    """The controller's row after a sample, and its command, over z, shape (1, n) each.
+    """The controller's next integrator state and its command as rows over z, shape (1, n) each.
 
     Args:
         integrator: v+ = v + K_P (sigma - s) + T_s K_I sigma, or q+ = q + T_s K_I sigma.
@@ -171,7 +182,7 @@ def control_rows(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) 
 
     Args:
         problem: The certificate's problem.
-        gain: K_P, K_I and K_N; with q, phi_1/sigma in place of K_P.
+        gain: K_P, K_I and K_N; if z contains q, phi_1/sigma replaces K_P.
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     rows = signal_rows(problem)
@@ -192,9 +203,10 @@ def control_rows(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) 
 
 
 def zeta_jump(problem: Problem) -> list[arb]:
-    """What zeta changes by if k_p d_r changes by 1: zeta at rest under a constant input 1, since it counts from -d_r.
+    """The change of zeta if k_p d_r changes by 1, one entry for each state of zeta.
 
-    In companion form only the first state is then not 0; a delay holds 1 in every place.
+    zeta counts from its rest under the input -k_p d_r, so it changes by its rest under a constant input 1. At this rest
+    only the first state of the companion form is not 0; a delay holds 1 in every place.
     """
     zeta = state_places(problem).zeta
     if problem["denominator"]:
@@ -205,8 +217,8 @@ def zeta_jump(problem: Problem) -> list[arb]:
 def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, theta_bounds: list[arb]) -> arb_mat:
     """B, shape (n, inputs), with a column for each input, scaled so that every input is at most 1 in magnitude.
 
-    The inputs are the change of d_r + f from sample to sample, that of -f, and the components of theta, the effect of
-    d_r's change within a sample, along e, e' and eta.
+    The first input is the change of d_r + f from sample to sample, the second that of -f. The others are the components
+    of theta along e, e' and eta, where theta is the effect of d_r's change within a sample.
 
     Args:
         problem: The certificate's problem.
@@ -227,15 +239,16 @@ def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, theta_bounds:
 
 
 def disturbance_effects(problem: Problem, box: Box, time: arb) -> list[arb]:
-    """Bounds of the components of theta(t), the effect that d_r's change since the sample has at a time t, (n,).
+    """Bounds of the n components of theta(t): the effect, at the time t, of d_r's change since the sample.
 
-    At a time r d_r has changed by D r at most, and acts through exp(F r) k_p b with a unit column b along e'. So a
-    component is at most D t^2/2 k_p times its largest entry of exp(F r) b for r in [0, t].
+    By the time r, d_r has changed by at most D r, where D bounds |d_r'|. It acts through exp(F r) k_p b with a unit
+    column b along e'. So a component of theta is at most D t^2/2 k_p times the component's largest value in exp(F r) b
+    for r in [0, t].
 
     Args:
         problem: The certificate's problem.
         box: Intervals of the plant.
-        time: t [s].
+        time: t, the time since the sample [s].
     """
     n = state_places(problem).n
     largest = [arb(0)] * n
@@ -247,14 +260,15 @@ def disturbance_effects(problem: Problem, box: Box, time: arb) -> list[arb]:
 
 
 def start_columns(problem: Problem, box: Box, ratio: arb) -> arb_mat:
-    """The states z in which the loop may start, at the ends of all uncertain numbers, as columns, (n, corners).
+    """The states z in which the loop starts at the ends of all uncertain numbers, as columns, shape (n, corners).
 
-    z is affine in the initial state, in d_r(0), f(0), k_p d_r(0) and the ratio, so every start is in their hull.
+    z is affine in each of the initial state, d_r(0), f(0), k_p d_r(0) and the ratio. So every possible start lies in
+    the convex hull of these columns.
 
     Args:
         problem: The certificate's problem.
         box: Intervals of the plant.
-        ratio: Ball of -v/sigma_0, or of -q/sigma_0, before the first sample, apart from d_r + f.
+        ratio: Ball of -v/sigma_0, or of -q/sigma_0 if z contains q, before the first sample, without d_r + f.
     """
     memory = state_places(problem).memory
     sizes = signal_bounds(problem, box)

@@ -1,9 +1,9 @@
-"""How far the functions phi_1, phi_2 and phi_1 + n are from straight lines over a region, enclosed by the verifier.
+"""The verifier's bounds of the distances of phi_1, phi_2 and phi_1 + n from straight lines over a region.
 
-Upper bounds of |phi_1 - k_1 sigma|, |phi_2 - k_2 sigma| and |phi_1 + n - (k_1 + k_n) sigma|, where n = sigma/(k_n
-tau_m) is what the nominal control takes through its term 1/tau_m. For a vehicle, a share s_q of the third difference is
-subtracted from the second. The region is cut in halves wherever the enclosure of a piece exceeds what the distances
-reach at points by more than a small share.
+The three distances are |phi_1 - k_1 sigma|, |phi_2 - k_2 sigma| and |phi_1 + n - (k_1 + k_n) sigma|, where n =
+sigma/(k_n tau_m) is the part of the nominal control from its term 1/tau_m. For a vehicle, a share s_q of the third
+difference is subtracted from the second. Each piece of the region is enclosed. A piece is halved if its enclosure
+exceeds the largest distance at points by more than a small share.
 """
 
 import math
@@ -24,7 +24,7 @@ from dssc_jax.proofs.verifier.table_gains import Cells, first_cells, gains_of
 DISTANCE_ROOM = 0.02
 """Largest excess of a bound over the distances at points, as a share of them, unless the caller asks for less."""
 SHARED_ROOM = 0.02
-"""The same for |phi_2 - k_2 sigma| less its share of the third difference."""
+"""The same excess for the second distance if its share s_q is not 0."""
 DISTANCE_ROUNDING = 2.0**-42
 """Excess that rounding needs besides, as a share of the straight line's largest value."""
 MOST_PIECES = 6000
@@ -32,7 +32,7 @@ MOST_PIECES = 6000
 MOST_CELLS = 200_000
 """Number of cells of |sigma| and |e| after which no further cell is cut."""
 DISTANCES = {"phi_1": ("mean",), "phi_2": ("k_i",), "both": ("mean", "k_n")}
-"""Names of the three distances. Each is that of a sum of gains from its slope, times |sigma|."""
+"""The three distances by name, each with its gains: |sum of the gains less sum of their slopes| times |sigma|."""
 
 
 class StraightLines(NamedTuple):
@@ -41,8 +41,8 @@ class StraightLines(NamedTuple):
     Args:
         slopes: k_1 (``mean``), k_2 (``k_i``) and k_n, exact numbers.
         share: s_q, the share of the third difference that is subtracted from the second; 0 for Table 1's functions.
-        change: In the implicit form, a bound of |sigma - s| [m/s]: the distance of phi_2 then contains
-            :func:`increment_error` over T_s. None: the conservative form.
+        change: C, a bound of |sigma - s| [m/s] in the implicit form, where :func:`increment_error` over T_s is added to
+            the distance of phi_2. None: the conservative form, which has no such error.
     """
 
     slopes: Balls
@@ -63,10 +63,14 @@ def function_distances(
     Args:
         problem: The certificate's problem.
         sigma: Largest |sigma| [m/s].
-        e: Largest |e| [m]; only Table 1's functions depend on it.
-        lines: The straight lines. Unless their share is 0, the second bound has the room ``SHARED_ROOM``.
-        room: Largest excess over the distances at points, as a share of them; ``DISTANCE_ROOM`` for Table 1's.
-        sigma_from: Smallest |sigma| [m/s]; 0 for Table 1's.
+        e: Largest |e| [m]; only Table 1's functions depend on e.
+        lines: The straight lines. Unless their share is 0, ``SHARED_ROOM`` replaces ``room`` for the second distance.
+        room: Largest excess of a bound over the distances at points, as a share of them. Table 1's functions use
+            ``DISTANCE_ROOM`` instead.
+        sigma_from: Smallest |sigma| [m/s]; must be 0 for Table 1's functions.
+
+    Raises:
+        Rejected: Some piece of the region cannot be enclosed.
     """
     if problem["functions"]["kind"] == "vgsta":
         return distances_in_cells(problem, sigma, e, lines.slopes)
@@ -100,7 +104,13 @@ def function_distances(
 
 
 def largest_at_points(problem: Problem, points: Sequence[float], lines: StraightLines) -> Balls:
-    """Lower bounds of the largest distances at points of |sigma| [m/s], by name."""
+    """Lower bounds of the largest distances over the whole region, from their values at some points, by name.
+
+    Args:
+        problem: The certificate's problem, with functions of sigma alone.
+        points: Values of |sigma| [m/s].
+        lines: The straight lines.
+    """
     largest = dict.fromkeys(DISTANCES, arb(0))
     for point in points:
         for name, distance in distances_at(problem, (point, point), lines).items():
@@ -109,7 +119,7 @@ def largest_at_points(problem: Problem, points: Sequence[float], lines: Straight
 
 
 def distances_if_enclosed(problem: Problem, size: SizeInterval, lines: StraightLines) -> Balls:
-    """The distances of :func:`distances_at`; empty if |sigma| has so wide an interval that a function may be 0."""
+    """The distances of :func:`distances_at`; empty if the interval of |sigma| is so wide that a function may be 0."""
     try:
         return distances_at(problem, size, lines)
     except Rejected:
@@ -119,7 +129,12 @@ def distances_if_enclosed(problem: Problem, size: SizeInterval, lines: StraightL
 def distances_at(problem: Problem, size: SizeInterval, lines: StraightLines) -> Balls:
     """Balls whose upper ends bound the distances from straight lines for |sigma| in an interval, by name.
 
-    At a point they contain the distances.
+    If the interval is a point, the balls contain the distances, so that their lower ends are bounds, too.
+
+    Args:
+        problem: The certificate's problem, with functions of sigma alone.
+        size: Interval of |sigma| [m/s].
+        lines: The straight lines.
     """
     smallest, largest = size
     gains = gains_at(problem, size)
@@ -135,16 +150,16 @@ def distances_at(problem: Problem, size: SizeInterval, lines: StraightLines) -> 
 
 
 def increment_error(problem: Problem, low: float, change: float) -> arb:
-    """R, how far the implicit form's increment of v is from the change of phi_1 over a sample, a ball [m/s].
+    """R, a bound of the difference of the implicit form's increment of v from the change of phi_1 in a sample [m/s].
 
-    It bounds |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| for |sigma| >= low and |sigma - s| <= C. The functions
+    R bounds |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| for |sigma| >= low and |sigma - s| <= C. The functions
     have k_o tau_av = alpha (|sigma|^(1/2) + beta), so K_P falls with |sigma| and is convex in it; docs/proofs.md has
     the derivation.
 
     Args:
         problem: The certificate's problem.
         low: Smallest |sigma| [m/s].
-        change: C [m/s].
+        change: C, the largest change of sigma in a sample [m/s].
     """
     if low < change:  # R = K_P(0) C - phi_1(C)
         return gains_at(problem, (0.0, 0.0))["k_p"] * arb(change) - phi_1(problem, change)
@@ -159,7 +174,9 @@ def phi_1(problem: Problem, sigma: float) -> arb:
 
 
 def distances_in_cells(problem: Problem, sigma: float, e: float, slopes: Balls) -> Balls:
-    """Upper bounds of the distances for Table 1's functions, which depend on e, too; in float64, rounded outwards.
+    """Upper bounds of the distances for Table 1's functions, which depend on sigma and e, by name.
+
+    The intervals are computed in float64 and rounded outwards.
 
     Args:
         problem: The certificate's problem.
@@ -220,5 +237,10 @@ def magnitude(values: Intervals) -> Intervals:
 
 
 def rounding_room(names: tuple[str, ...], slopes: Balls) -> float:
-    """The excess of a distance's bound that rounding needs, over |sigma|: a share of the slopes' magnitudes."""
+    """The excess over |sigma| that rounding alone may cause in a distance's bound: a share of the slopes' magnitudes.
+
+    Args:
+        names: The gains of the distance, a value of :data:`DISTANCES`.
+        slopes: Slope of each gain's straight line.
+    """
     return DISTANCE_ROUNDING * sum(abs(float(slopes[name])) for name in names) + 1e-280

@@ -21,7 +21,7 @@ PRECISE = 0.03
 ROUNDING = 2.0**-40
 """Excess that rounding needs besides, as a share of the gain."""
 SMALLEST_ROOM = 1e-300
-"""Excess that a gain of 0 is allowed."""
+"""Excess that is always allowed, so that a gain of 0 can pass."""
 MOST_PIECES = 6000
 """Number of pieces of |sigma| after which no further piece is cut."""
 SMALLEST_REGION = 1e-12
@@ -31,16 +31,16 @@ SizeInterval = tuple[float, float]
 
 
 class PointHull:
-    """The smallest interval of each gain that contains its values at some points.
+    """The smallest interval of each gain that contains the gain's values at some points of |sigma|.
 
-    An enclosure of the gains contains it. It is good enough if it is not much larger.
+    Every enclosure of a gain contains this interval, and is good enough if it is not much larger.
 
     Args:
         problem: The certificate's problem, with functions of sigma alone.
     """
 
     def __init__(self, problem: Problem) -> None:
-        """Begin with no points."""
+        """Store the problem, and begin without points."""
         self.problem = problem
         self.ends: dict[str, tuple[float, float]] = {}
 
@@ -52,14 +52,19 @@ class PointHull:
             self.ends[name] = (min(low, value), max(high, value))
 
     def rooms(self) -> dict[str, float]:
-        """How far a ball may exceed the interval of its gain, by the gain's name."""
+        """The largest allowed excess of a ball over the interval of its gain, by the gain's name."""
         return {
             name: PRECISE * (high - low) + ROUNDING * max(abs(low), abs(high)) + SMALLEST_ROOM
             for name, (low, high) in self.ends.items()
         }
 
     def is_exceeded_by(self, balls: Balls, rooms: dict[str, float]) -> bool:
-        """Whether a ball exceeds the interval of its gain by more than its room."""
+        """Whether any ball exceeds the interval of its gain by more than the allowed excess.
+
+        Args:
+            balls: Ball of each gain, by name.
+            rooms: The allowed excess of each gain, by :meth:`rooms`.
+        """
         for name, ball in balls.items():
             low, high = self.ends[name]
             fits = ball > low - rooms[name] and ball < high + rooms[name]
@@ -71,15 +76,18 @@ class PointHull:
 def enclosed_gains(problem: Problem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0) -> Balls:
     """Balls of the gains that the loop can have in a region of sigma and e, by the names at the module's top.
 
-    In the conservative form K_P is a mean over a sample, whereas tau_av belongs to its end. So ``slide_p`` and
-    ``slide_e`` are products of balls there.
+    In the conservative form K_P is a mean over the sample, whereas tau_av is the value at the sample's end. So the
+    balls of K_P and 1 + tau_av/T_s are multiplied in ``slide_p``, as if both were independent; likewise ``slide_e``.
 
     Args:
         problem: The certificate's problem.
         sigma: Largest |sigma| [m/s].
-        e: Largest |e| [m]; only Table 1's functions depend on it.
+        e: Largest |e| [m]; only Table 1's functions depend on e.
         sigma_from: Smallest |sigma| [m/s].
         e_from: Smallest |e| [m].
+
+    Raises:
+        Rejected: The functions cannot be enclosed in the region, or may not be positive there.
     """
     if problem["functions"]["kind"] == "vgsta":
         gains = table_gains(problem, sigma, e, sigma_from, e_from)
@@ -93,10 +101,13 @@ def enclosed_gains(problem: Problem, sigma: float, e: float, sigma_from: float =
 
 
 def gains_by_sigma(problem: Problem, sigma: float, sigma_from: float) -> Balls:
-    """Balls of the gains of functions of sigma alone, for |sigma| from ``sigma_from`` to ``sigma``.
+    """Balls of the gains of functions of sigma alone, for |sigma| from ``sigma_from`` to ``sigma`` [m/s].
 
-    A piece of |sigma| is halved, in |sigma|^(1/2), if its ball exceeds the hull of the gains at points by more than a
-    small share of the hull's width.
+    A piece of |sigma| is halved at its middle in |sigma|^(1/2) if a ball of it exceeds the hull of the gains at points
+    by more than a small share of the hull's width.
+
+    Raises:
+        Rejected: The functions cannot be enclosed in the region.
     """
     pieces = [(sigma_from, sigma)]
     points = PointHull(problem)
@@ -127,14 +138,15 @@ def gains_by_sigma(problem: Problem, sigma: float, sigma_from: float) -> Balls:
 
 
 def enclosed_start_ratio(problem: Problem, *, is_integrated: bool) -> arb:
-    """Ball of -v/sigma_0 (or -q/sigma_0) before the first sample, apart from d_r + f, for every start of the problem.
+    """Ball of -v/sigma_0 before the first sample, for every start of the problem; of -q/sigma_0 if z contains q.
 
-    Before it u_av = 0. So the start ``zero`` has v = q = 0 with s = 0. The others have s = sigma_0, hence q =
-    -phi_1(sigma_0). ``midpoint`` adds only half of the first T_s phi_2, so its v and q are (T_s/2) phi_2 lower.
+    The share of d_r + f in v is left out. Before the first sample u_av = 0. The start ``zero`` has s = 0, hence v = q =
+    0. The others have s = sigma_0, hence q = -phi_1(sigma_0). ``midpoint`` adds only half of the first T_s phi_2, so
+    its v and q are lower by (T_s/2) phi_2.
 
     Args:
         problem: The certificate's problem.
-        is_integrated: Whether the coordinate is q = v - phi_1(sigma_0) in place of v.
+        is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     if problem["start"] == "zero":
         return arb(0)
@@ -159,10 +171,11 @@ def size_ends(ball: arb) -> tuple[float, float]:
 
 
 def with_moving_error(problem: Problem, gains: Balls, error_change: float) -> Balls:
-    """The gains in v+ = v + K_P (sigma - s) + T_s K_I sigma where e changes in a sample and phi_1 depends on it.
+    """The gains in v+ = v + K_P (sigma - s) + T_s K_I sigma if phi_1 depends on e, and e changes in a sample.
 
     phi_1(sigma_k, e_k) - phi_1(sigma_k, e_(k-1)) = theta sigma_k, where |theta| is at most the largest |d phi_1/d e|/
-    |sigma| times the change of e. So theta joins T_s K_I.
+    |sigma| times the change of e. So theta is added to T_s K_I. Where phi_1 does not depend on e, the gains stay as
+    they are.
 
     Args:
         problem: The certificate's problem.
@@ -183,20 +196,26 @@ def depends_on_error(problem: Problem) -> bool:
 
 
 def middle_of(piece: SizeInterval) -> float:
-    """The middle of an interval of |sigma| on the scale of |sigma|^(1/2), on which the functions vary evenly."""
+    """The middle of an interval of |sigma| on the scale of |sigma|^(1/2), on which the functions vary most evenly."""
     low, high = piece
     return (0.5 * (low**0.5 + high**0.5)) ** 2
 
 
 def halves_of(piece: SizeInterval) -> list[SizeInterval]:
-    """The two parts into which its middle cuts an interval of |sigma|."""
+    """Cut an interval of |sigma| into two at its middle, :func:`middle_of`."""
     low, high = piece
     middle = middle_of(piece)
     return [(low, middle), (middle, high)]
 
 
 def gains_at(problem: Problem, size: SizeInterval) -> Balls:
-    """Balls of the gains of functions of sigma alone, for |sigma| in an interval, by name."""
+    """Balls of the gains of functions of sigma alone, for |sigma| in an interval, by the names at the module's top.
+
+    ``mean`` is missing for ``sta``, whose phi_1 has an infinite slope at 0.
+
+    Raises:
+        Rejected: The interval is so wide that the functions may not be positive in it, or their kind is unknown.
+    """
     constants = constants_of(problem)
     k_o_tau_av, tau_m = functions_at(problem, constants, size)
     t = arb(problem["sample_time"])
@@ -235,8 +254,11 @@ def functions_at(problem: Problem, c: Balls, size: SizeInterval) -> tuple[arb, a
 
     Args:
         problem: The certificate's problem, with the kind of the functions.
-        c: Their constants, by the names of the article.
-        size: Interval of |sigma|.
+        c: Constants of the functions, by the names of the article.
+        size: Interval of |sigma| [m/s].
+
+    Raises:
+        Rejected: The functions are unknown, or may not be positive in the interval.
     """
     kind = problem["functions"]["kind"]
     low, high = root_ends(size)
@@ -246,7 +268,7 @@ def functions_at(problem: Problem, c: Balls, size: SizeInterval) -> tuple[arb, a
             k_o_tau_av = c["k_o"] * c["tau_av"]
             tau_m = c["tau_m"]
         case "sta":
-            floor = arb(1e-9)  # as the controller has it
+            floor = arb(1e-9)  # the controller's own floor of |sigma|^(1/2) [(m/s)^(1/2)]
             r = maximum(low, floor).union(maximum(high, floor))
             k_o_tau_av = 2 * r / c["kappa1"]
             tau_m = c["kappa1"] / c["kappa2"] * r
@@ -269,7 +291,7 @@ def functions_at(problem: Problem, c: Balls, size: SizeInterval) -> tuple[arb, a
 
 
 def root_ends(size: SizeInterval) -> tuple[arb, arb]:
-    """|sigma|^(1/2) at both ends of an interval of |sigma|."""
+    """Balls of |sigma|^(1/2) at both ends of an interval of |sigma|; the same ball twice if the ends are equal."""
     low, high = size
     root_low = arb(low).sqrt()
     return root_low, root_low if low == high else arb(high).sqrt()
@@ -283,9 +305,12 @@ def mean_gain(problem: Problem, c: Balls, size: SizeInterval, k_o_tau_av: arb) -
 
     Args:
         problem: The certificate's problem, with the kind of the functions.
-        c: Their constants, by the names of the article.
-        size: Interval of |sigma|.
-        k_o_tau_av: Ball of k_o tau_av.
+        c: Constants of the functions, by the names of the article.
+        size: Interval of |sigma| [m/s].
+        k_o_tau_av: Ball of k_o tau_av; only constant functions need it.
+
+    Raises:
+        Rejected: No formula of phi_1 is known for the kind of the functions.
     """
     match problem["functions"]["kind"]:
         case "constant":
@@ -308,6 +333,10 @@ def enclosed_ratio_to_defect(size: SizeInterval, scale: arb) -> arb:
     """Ball of x^2/(x - ln(1 + x)) at x = r/scale over an interval of |sigma|, where r = |sigma|^(1/2).
 
     The ratio rises with x, so that its values at both ends suffice.
+
+    Args:
+        size: Interval of |sigma| [m/s].
+        scale: A positive number in the unit of r.
     """
     low, high = size
     root_low, root_high = root_ends(size)

@@ -1,8 +1,9 @@
 """The plant between two samples, chi' = F chi + G U with U held, enclosed in balls over a box of plants.
 
-chi = (e, e', eta, zeta, m): error and its rate, zero dynamics, k_p times the state of the unmodelled dynamics G(mu s)
-or the commands that a delay holds, and the memory of a sensor's lag. Over a sample [chi+, U] = [[Phi, Gamma], [0, 1]]
-[chi, U], where this matrix is the exponential of T_s [[F, G], [0, 0]].
+chi = (e, e', eta, zeta, m): the error and its rate, the zero dynamics eta, the state zeta of the unmodelled dynamics
+G(mu s) or of a delay, which holds commands, times k_p, and the memory m of a sensor's lag. Over a sample
+[chi+, U] = [[Phi, Gamma], [0, 1]] [chi, U], where this matrix is the exponential of T_s [[F, G], [0, 0]]; only the rows
+of a memory differ from it.
 """
 
 import math
@@ -18,11 +19,11 @@ from dssc_jax.proofs.verifier.balls import exact_ends, interval_ball
 from dssc_jax.proofs.verifier.certificate import Box, Interval, Problem
 
 HALF = arb(1) / 2 * (1 + arb(2) ** -100)
-"""Largest distance from the rounded middle of an interval, over the interval's width."""
+"""Bound of the distance of any point of an interval from the interval's rounded middle, over the interval's width."""
 
 
 class StatePlaces(NamedTuple):
-    """Where zeta and the sensor's memory stand in z = (e, e', eta, zeta, m, v, s), and the length n of z."""
+    """The places of zeta and of the sensor's memory m in z = (e, e', eta, zeta, m, v, s), and the length n of z."""
 
     zeta: range
     memory: range
@@ -33,9 +34,9 @@ class CompanionForm(NamedTuple):
     """G(mu s) as a state-space system in companion form.
 
     Args:
-        a: a_0 to a_(n-1), the coefficients of the monic denominator in rising powers, without the leading 1.
-        output: Output row.
-        direct: Feedthrough.
+        a: a_0 to a_(n-1), the coefficients of the monic denominator in rising powers of mu s, without the leading 1.
+        output: Output row over the n states.
+        direct: Feedthrough from the input to the output.
     """
 
     a: list[arb]
@@ -44,12 +45,12 @@ class CompanionForm(NamedTuple):
 
 
 class BoxSide(NamedTuple):
-    """An interval of a box along which the held plant varies.
+    """A side of a box along which the held plant varies: an interval of a_p or of 1/mu.
 
     Args:
         name: ``a_p``, or ``rate`` for 1/mu.
         width: Width of the interval [1/s].
-        slope: Derivative of T_s [[F, G], [0, 0]] by this number [s].
+        slope: Derivative of T_s [[F, G], [0, 0]] by the number of the interval [s], shape (n - 1, n - 1).
     """
 
     name: str
@@ -58,7 +59,7 @@ class BoxSide(NamedTuple):
 
 
 def state_places(problem: Problem) -> StatePlaces:
-    """Places of the states in z = (e, e', eta, zeta, m, v or q, s)."""
+    """Places of zeta and m in z = (e, e', eta, zeta, m, v or q, s), and the length of z, from a problem's entries."""
     zeta_start = 2 + len(problem["zero_a"])
     order = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"]))  # of G, or of the delay
     zeta_end = zeta_start + order
@@ -67,15 +68,15 @@ def state_places(problem: Problem) -> StatePlaces:
 
 
 def rate_interval(box: Box) -> Interval:
-    """The interval of 1/mu; (0, 0) without a transfer function."""
+    """The interval of 1/mu [1/s] of a box; (0, 0) without a transfer function."""
     return box.get("rate", (0.0, 0.0))
 
 
 class SensorWeights(NamedTuple):
-    """Weights of a sensor's lag, which shows (1 - kappa) y + m with a memory m.
+    """Weights of a sensor's lag, which measures (1 - kappa) y + m at a sample, with a memory m.
 
     Args:
-        kappa: Share of y that the sensor leaves out.
+        kappa: Share of y that the measurement leaves out.
         decay: lambda, the factor of m in a sample: m+ = lambda m + kappa (1 - lambda) y.
     """
 
@@ -116,12 +117,12 @@ def delay_weights(delay: float) -> list[arb]:
 def held_generator(problem: Problem, a_p: arb, rate: arb) -> arb_mat:
     """[[F, G], [0, 0]] of the held plant chi' = F chi + G U, U' = 0, shape (n - 1, n - 1).
 
-    The memories of delay and sensor do not change between samples.
+    The rows of the memories of delay and sensor are 0, since they do not change between samples.
 
     Args:
         problem: The certificate's problem.
         a_p: Damping [1/s].
-        rate: 1/mu [1/s] of G(mu s); unused without it.
+        rate: 1/mu [1/s] of G(mu s); unused without a transfer function.
     """
     zeta, _, n = state_places(problem)
     generator = [[arb(0)] * (n - 1) for _ in range(n - 1)]  # the last column is G
@@ -160,11 +161,11 @@ def generator_over(problem: Problem, box: Box) -> arb_mat:
 
 
 def flows(generator: arb_mat, time: arb, pieces: int) -> Iterator[arb_mat]:
-    """Yield enclosures of exp([[F, G], [0, 0]] r), one for each piece of the time r from a sample on.
+    """Yield enclosures of exp([[F, G], [0, 0]] r) over the time r since a sample, one for each piece of time.
 
     Args:
-        generator: [[F, G], [0, 0]].
-        time: Time [s] that the pieces cover, from r = 0 on.
+        generator: [[F, G], [0, 0]], shape (n - 1, n - 1).
+        time: End of the last piece [s]; the first piece begins at r = 0.
         pieces: Number of equal pieces.
     """
     for piece in range(pieces):
@@ -172,7 +173,13 @@ def flows(generator: arb_mat, time: arb, pieces: int) -> Iterator[arb_mat]:
 
 
 def held_sample(problem: Problem, a_p: arb, rate: arb) -> arb_mat:
-    """[[Phi, Gamma], [0, 1]] of one whole sample, with the step that the memories take at its end."""
+    """[[Phi, Gamma], [0, 1]] of one whole sample, including the step of the memories at the sample's end.
+
+    Args:
+        problem: The certificate's problem.
+        a_p: Damping [1/s].
+        rate: 1/mu [1/s] of G(mu s); unused without a transfer function.
+    """
     return with_memories(problem, (held_generator(problem, a_p, rate) * arb(problem["sample_time"])).exp())
 
 
@@ -195,10 +202,11 @@ def with_memories(problem: Problem, held_matrix: arb_mat) -> arb_mat:
 
 
 def held_vertices(problem: Problem, box: Box, degree: int) -> list[arb_mat]:
-    """[[Phi, Gamma], [0, 1]] at vertices whose convex hull holds that of every a_p and 1/mu of the box.
+    """Vertices of [[Phi, Gamma], [0, 1]]: their convex hull contains the matrix of every a_p and 1/mu of a box.
 
-    In a_p the vertices are the ends. In 1/mu they are the coefficients, in Bernstein's basis, of a Taylor polynomial,
-    which is a convex combination of them. The balls are wide enough for what interpolation and polynomial leave out.
+    In a_p the vertices belong to the ends of its interval. In 1/mu they are the coefficients, in Bernstein's basis, of
+    a Taylor polynomial, which is a convex combination of its coefficients. The balls are widened by the errors of the
+    interpolation and of the polynomial.
 
     Args:
         problem: The certificate's problem.
@@ -219,10 +227,17 @@ def held_vertices(problem: Problem, box: Box, degree: int) -> list[arb_mat]:
 
 
 def bernstein_coefficients(problem: Problem, a_p: arb, rates: Interval, degree: int) -> list[arb_mat]:
-    """Coefficients in Bernstein's basis, over an interval of 1/mu, of exp's Taylor polynomial about its middle.
+    """Coefficients in Bernstein's basis of the Taylor polynomial of exp(T_s [[F, G], [0, 0]]) in 1/mu.
 
-    With x from -1 to 1 over the interval, the i-th coefficient of x^k is the mean of the products of k numbers out of i
-    numbers 1 and degree - i numbers -1.
+    The polynomial is taken about the middle of the interval. With x from -1 to 1 over the interval, the i-th
+    coefficient of x^k is the mean, over all choices of k out of ``degree`` numbers, of their product, where i of these
+    numbers are 1 and the others -1.
+
+    Args:
+        problem: The certificate's problem.
+        a_p: Damping [1/s].
+        rates: Interval of 1/mu [1/s].
+        degree: Degree of the polynomial.
     """
     low, high = map(arb, rates)
     t = arb(problem["sample_time"])
@@ -255,7 +270,7 @@ def rate_slope(problem: Problem) -> arb_mat:
 
 
 def box_sides(problem: Problem, box: Box) -> list[BoxSide]:
-    """The intervals of a_p and of 1/mu that have a width."""
+    """The sides of a box that have a width, of a_p and of 1/mu; k_p does not enter the held plant."""
     sides = []
     low, high = box["a_p"]
     if low < high:
@@ -269,11 +284,12 @@ def box_sides(problem: Problem, box: Box) -> list[BoxSide]:
 def taylor_terms(generator: arb_mat, slope: arb_mat, order: int) -> list[arb_mat]:
     """The terms 0 to ``order`` of exp(W + x D) as a power series in x.
 
-    They are the first row of blocks of exp of the matrix with W in each diagonal block and D in each block beside it.
+    The terms are the first row of blocks of exp(M), where the block matrix M has W in each diagonal block and D in each
+    block to the right of the diagonal.
 
     Args:
-        generator: W.
-        slope: D.
+        generator: W, a square matrix.
+        slope: D, of the same shape.
         order: Order of the last term.
     """
     size = generator.nrows()
@@ -289,10 +305,11 @@ def taylor_terms(generator: arb_mat, slope: arb_mat, order: int) -> list[arb_mat
 
 
 def interpolation_error(problem: Problem, box: Box, degree: int) -> arb_mat:
-    """Balls about 0 for what interpolation in a_p and the polynomial in 1/mu leave out of [[Phi, Gamma], [0, 1]].
+    """Balls about 0 that contain the errors of :func:`held_vertices`, shape (n - 1, n - 1).
 
-    Linear interpolation in a_p leaves at most width^2/8 sup |second derivative|. The Taylor polynomial in 1/mu about
-    the middle leaves at most (width/2)^m sup |m-th derivative|/m! with m = degree + 1. For m = 2 this is the first one.
+    Linear interpolation in a_p has an error of at most width^2/8 sup |second derivative|. The Taylor polynomial in 1/mu
+    about the middle has one of at most (width/2)^m sup |m-th derivative|/m! with m = degree + 1. For m = 2 both
+    formulas agree, so that one line computes both.
     """
     generator = generator_over(problem, box) * arb(problem["sample_time"])
     size = generator.nrows()
@@ -307,9 +324,17 @@ def interpolation_error(problem: Problem, box: Box, degree: int) -> arb_mat:
 
 
 def held_spread(problem: Problem, box: Box) -> list[list[arb]]:
-    """Bounds of how far each entry of [[Phi, Gamma], [0, 1]] is from its value in the middle of a box.
+    """Bounds of the distance of each entry of [[Phi, Gamma], [0, 1]] from the entry's value in the middle of a box.
 
-    By the mean value theorem it is at most half of the width times the largest |derivative|, for a_p and for 1/mu.
+    By the mean value theorem the distance is at most the sum, over a_p and 1/mu, of half of the interval's width times
+    the largest |derivative|.
+
+    Args:
+        problem: The certificate's problem.
+        box: Intervals of k_p, a_p and 1/mu; k_p is not used.
+
+    Returns:
+        Rows of a matrix, shape (n - 1, n - 1).
     """
     generator = generator_over(problem, box) * arb(problem["sample_time"])
     size = generator.nrows()

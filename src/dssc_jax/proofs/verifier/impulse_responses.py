@@ -27,7 +27,7 @@ TWICE = 2.0 + 2.0**-20
 SUMMED = 1.0 + 2.0**-28
 """Factor that covers the rounding of the sums themselves, which have fewer than 2^22 terms."""
 UNDERFLOW = 1e-290
-"""More than what underflow in a product loses."""
+"""Absolute error of a product, which exceeds any loss to underflow."""
 
 
 class ResponseBounds(NamedTuple):
@@ -50,7 +50,7 @@ def middles(matrix: arb_mat) -> np.ndarray:
 def magnitudes(matrix: arb_mat) -> np.ndarray:
     """Bounds of the magnitudes of a matrix of balls, in float64, enlarged by 2^60 times each radius.
 
-    So ``ROUNDED`` times a bound covers the radius together with the rounding of the midpoint.
+    The enlargement lets ``ROUNDED`` times a bound cover the ball's radius besides the rounding of the midpoint.
     """
     radius_weight = arb(2) ** 60
     return np.array([[float((abs(x) + radius_weight * x.rad()).upper()) for x in row] for row in matrix.tolist()])
@@ -59,13 +59,13 @@ def magnitudes(matrix: arb_mat) -> np.ndarray:
 class Block(NamedTuple):
     """``SIDE``^2 successive samples of row A^k z, rounded, for all rows and all columns z, with bounds of the errors.
 
-    The states are exact numbers at the beginning of each block; the radii of their balls are dropped there.
+    At the beginning of each block the radii of the states' balls are dropped, so that the states are exact numbers.
 
     Args:
         response: The samples, shape (samples, rows, columns).
         error: Bound of a sample's rounding error, shape (rows, columns).
         error_sum: Bound of the sum of the rounding errors of all samples, shape (rows, columns).
-        radius_effect: Bound of what the radii that were dropped so far do to a sample of this or a later block,
+        radius_effect: Bound of the error that all radii dropped so far cause in a sample of this or a later block,
             shape (rows, columns).
         tail: Bound of every sample after this block, including the effect of the radii, shape (rows, columns).
     """
@@ -80,8 +80,8 @@ class Block(NamedTuple):
 def response_blocks(a: arb_mat, rows: arb_mat, z: arb_mat, p: arb_mat) -> Iterator[Block]:
     """Yield the responses row A^k z block by block, from k = 0 on, at most ``MOST_BLOCKS`` blocks.
 
-    Balls would widen from block to block. So each block begins with the midpoints, and V bounds what the dropped radii
-    can still cause: V never rises, and within {V <= 1} a row is at most (row P^-1 row')^(1/2).
+    Balls would widen from block to block. So each block begins with the midpoints, and V bounds the effect of the
+    dropped radii: V never rises, and where V <= 1 the signal of a row is at most (row P^-1 row')^(1/2).
 
     Args:
         a: A, shape (n, n).
@@ -134,7 +134,7 @@ def response_bounds(
     decay: arb,
     offsets: arb_mat | None = None,
 ) -> ResponseBounds | None:
-    """Bounds of the responses of z+ = A z to inputs and to starts; None if they decay too slowly.
+    """Bounds of the responses of z+ = A z to inputs and to starts.
 
     Args:
         a: A, shape (n, n).
@@ -142,8 +142,11 @@ def response_bounds(
         inputs: Columns of the inputs, shape (n, q).
         starts: Columns of the initial states, shape (n, s).
         p: P of V = z'Pz, shape (n, n).
-        decay: The share of V that is lost in a sample, at least, as the caller has shown.
+        decay: Lower bound of the share of V that is lost in a sample, as the caller has shown.
         offsets: Constants that are added to the responses to the starts, shape (m, s); None: zero.
+
+    Returns:
+        The bounds; None if the responses have not decayed after ``MOST_BLOCKS`` blocks.
     """
     m = rows.nrows()
     q = inputs.ncols()
@@ -151,7 +154,8 @@ def response_bounds(
     peaks = np.zeros((m, starts.ncols()))
     offset_middles = np.zeros(peaks.shape) if offsets is None else middles(offsets)
     offset_errors = np.zeros(peaks.shape) if offsets is None else ROUNDED * magnitudes(offsets)
-    tail_factor = float((2 / decay).upper())  # samples fall by (1 - decay)^(1/2), whose series sums to 2/decay at most
+    # V^(1/2) falls by the factor (1 - decay)^(1/2) in a sample, and the geometric series sums to 2/decay at most
+    tail_factor = float((2 / decay).upper())
     for block in response_blocks(a, rows, side_by_side(inputs, starts), p):
         sums += np.abs(block.response[..., :q]).sum(axis=0) + block.error_sum[:, :q]
         largest = np.abs(block.response[..., q:] + offset_middles).max(axis=0) + block.error[:, q:]

@@ -1,4 +1,4 @@
-"""Intervals in float64, whole arrays at a time, rounded outwards: what the verifier encloses Table 1 with.
+"""Arrays of intervals in float64, rounded outwards; with them the verifier encloses Table 1's functions.
 
 IEEE 754 rounds +, -, *, / and the square root of two numbers to the nearest one. So the exact result is within half a
 unit in the last place of the rounded one, or within the smallest number where that underflows.
@@ -35,7 +35,7 @@ class Intervals:
         return outwards(self.low - right.high, self.high - right.low)
 
     def __mul__(self, right: "Intervals") -> "Intervals":
-        """Enclose the products, whose extremes are products of ends."""
+        """Enclose the products; the extremes of a product are among the products of the ends."""
         ends = self.low * right.low, self.low * right.high, self.high * right.low, self.high * right.high
         return outwards(np.minimum.reduce(ends), np.maximum.reduce(ends))
 
@@ -46,7 +46,7 @@ class Intervals:
         return outwards(np.minimum.reduce(ends), np.maximum.reduce(ends))
 
     def selected(self, mask: np.ndarray) -> "Intervals":
-        """The intervals where a mask is true."""
+        """The intervals at the places where a mask of the same shape is true."""
         return Intervals(self.low[mask], self.high[mask])
 
     def middle(self) -> "Intervals":
@@ -55,13 +55,13 @@ class Intervals:
         return Intervals(points, points)
 
     def halves(self) -> tuple["Intervals", "Intervals"]:
-        """The two parts into which a point near the middle cuts each interval; both hold the point."""
+        """Cut each interval at a point near its middle into a lower and an upper part, both of which hold the point."""
         points = self.middle().low
         return Intervals(self.low, points), Intervals(points, self.high)
 
 
 def outwards(low: np.ndarray, high: np.ndarray) -> Intervals:
-    """Intervals from ends that were rounded once, widened by what the rounding may have lost."""
+    """Make intervals from ends that were rounded once, and widen them by more than this rounding may have lost."""
     return Intervals(low - (UNIT * np.abs(low) + LOST_TO_ZERO), high + (UNIT * np.abs(high) + LOST_TO_ZERO))
 
 
@@ -72,6 +72,6 @@ def exactly(value: float) -> Intervals:
 
 
 def square_root(low: float, high: float) -> tuple[float, float]:
-    """Ends of an interval that holds the square roots of all numbers from ``low`` to ``high``, both at least 0."""
+    """Return the ends of an interval that holds the square roots of all numbers from ``low`` >= 0 to ``high``."""
     root = outwards(np.sqrt(np.float64(low)), np.sqrt(np.float64(high)))
     return max(float(root.low), 0.0), float(root.high)

@@ -1,7 +1,8 @@
 """(P3), (P5), (P6): a set {z'Pz <= 1} that is invariant and attracts, for all plants of a box and gains of a region.
 
-V = z'Pz has to fall over every vertex of plant and gains. V(z+) is convex in z+, and z+ is affine in each of them, so
-V falls for all. The region is cut into pieces of |sigma|, each with gains of its own.
+V = z'Pz has to fall in a sample at every vertex of plant and gains. V(z+) is convex in z+, and z+ is affine in each
+number of plant and gains, so V then falls for all of them. The region is cut into pieces of |sigma|, each with its own
+gains.
 """
 
 from itertools import pairwise, product
@@ -54,14 +55,14 @@ PieceGains = list[tuple[float, Balls]]
 
 
 class StageSet(NamedTuple):
-    """The set {z'Pz <= 1} of a stage, and what its premises depend on.
+    """The set {z'Pz <= 1} of a stage, with the data that the stage's premises need.
 
     Args:
-        problem: The problem, with the level and slope of the stage.
+        problem: The problem, in which the stage's own level and slope bound |d| and |d'|.
         box: Intervals of k_p, a_p and 1/mu.
         stage: The stage.
         p: P, shape (n, n).
-        inverse: The inverse of P.
+        inverse: The inverse of P, shape (n, n).
         gains: Balls of the gains in the stage's region.
         label: Place of the stage, for messages.
     """
@@ -83,10 +84,10 @@ class StageSet(NamedTuple):
 def invariant_bounds(
     problem: Problem, box: Box, stage: InvariantStage, gains: Balls, from_start: bool, label: str
 ) -> StageLimits:
-    """Show that the set of a stage is invariant and attracts, and return bounds of the signals in it.
+    """Show that the set of a stage is invariant and attracts, and return bounds of the signals in this set.
 
     Args:
-        problem: The problem, with the level and slope of the stage.
+        problem: The problem, in which the stage's own level and slope bound |d| and |d'|.
         box: Intervals of k_p, a_p and 1/mu.
         stage: The stage, with P of the set and the multipliers of the inputs.
         gains: Balls of the gains in the stage's region.
@@ -116,6 +117,7 @@ def invariant_bounds(
     if from_start:
         check_start(stage_set)
         check_sliding(stage_set, pieces, error_change)
+    # a set gives no bounds for (P8), so a disturbance that depends on the state needs the method "small gain"
     require_premise(not any(problem["by_state"]), f"P8: the set of {label} does not bound what the state adds to d")
     rows = signal_rows(problem)
     return StageLimits(
@@ -130,7 +132,12 @@ def invariant_bounds(
 
 
 def piece_gains(problem: Problem, stage: InvariantStage) -> PieceGains:
-    """The gains in each piece of |sigma|. The pieces are equal in |sigma|^(1/2) and cover the stage's region."""
+    """The gains in each piece of |sigma|. The pieces have equal lengths in |sigma|^(1/2) and cover the stage's region.
+
+    Args:
+        problem: The certificate's problem.
+        stage: The stage, with the region |sigma| <= ``sigma``, |e| <= ``e`` and the number of pieces.
+    """
     count = stage["pieces"]
     cuts = [stage["sigma"] * (i / count) ** 2 for i in range(count)] + [stage["sigma"]]
     return [(end, enclosed_gains(problem, end, stage["e"], sigma_from=begin)) for begin, end in pairwise(cuts)]
@@ -139,8 +146,8 @@ def piece_gains(problem: Problem, stage: InvariantStage) -> PieceGains:
 def increment_gains(problem: Problem, stage: InvariantStage, gains: Balls, piece: Balls) -> Balls:
     """The gains in v+ = v + K_P (sigma - s) + T_s K_I sigma, in a piece of the region.
 
-    In the conservative form K_P is a mean over a sample that may have begun in another piece, so it has the whole
-    region's interval; and K_I contains what phi_1 changes by through e.
+    In the conservative form K_P is a mean over a sample that may have begun in another piece, so it has the ball of
+    the whole region, and K_I contains the change of phi_1 through e.
 
     Args:
         problem: The certificate's problem.
@@ -163,15 +170,15 @@ def check_start(stage_set: StageSet) -> None:
 
 
 def check_sliding(stage_set: StageSet, pieces: PieceGains, error_change: arb) -> None:
-    """(P5) Require |u_eq - d_r - f| <= rho - sup |d_r + f| in the set.
+    """(P5) Require |u_eq - d_r - f| <= rho - sup |d_r + f| in the set; without a bound rho there is nothing to show.
 
-    u_eq = v + slide_p (sigma - s) + slide_i sigma is affine in both gains, so their ends suffice. With q, v = q +
-    phi_1(s): in each piece, phi_1(s) is within |mean - middle| |s| of middle s. And phi_1 may change by its slope in e
-    times the change of e in a sample; with v, K_I contains this.
+    u_eq = v + slide_p (sigma - s) + slide_i sigma is affine in both gains, so the ends of their balls suffice. If z
+    contains q, v = q + phi_1(s), and in each piece phi_1(s) differs from ``middle`` s by at most |mean - middle| |s|.
+    phi_1 may also change by its slope in e times the change of e in a sample; if z contains v, K_I includes this.
 
     Args:
         stage_set: The set.
-        pieces: Gains in each piece of |sigma|.
+        pieces: Upper end of each piece of |sigma| and the gains in it.
         error_change: Bound of the change of e in a sample [m].
     """
     problem = stage_set.problem
@@ -201,8 +208,9 @@ def check_sliding(stage_set: StageSet, pieces: PieceGains, error_change: arb) ->
 def check_invariance(t: arb, stage: InvariantStage, p: arb_mat, corners: list[Corner], label: str) -> None:
     """(P6) Require that V = z'Pz falls at every corner, so that the set {V <= 1} is invariant and attracts.
 
-    With the multipliers mu_j >= 0, whose sum is at most lambda, V(z+) <= (1 - T_s lambda) V(z) + T_s sum of mu_j w_j^2
-    for all inputs |w_j| <= 1. That is a quadratic form of z and w, whose matrix has to be positive definite.
+    The condition is V(z+) <= (1 - T_s lambda) V(z) + T_s sum of mu_j w_j^2 for all inputs w_j, with multipliers mu_j >=
+    0 whose sum is at most lambda; with |w_j| <= 1 the sum is then at most T_s lambda. The right side less the left
+    side is a quadratic form of z and w, whose matrix has to be positive definite.
 
     Args:
         t: T_s [s].
@@ -217,7 +225,7 @@ def check_invariance(t: arb, stage: InvariantStage, p: arb_mat, corners: list[Co
     require_premise(all(mu >= 0 for mu in multipliers), f"P6: a multiplier is negative in {label}")
     require_premise(total(multipliers) <= rate, f"P6: the multipliers exceed lambda in {label}")
     root = approximate_root(p)  # L with L L' near P
-    assert root is not None
+    assert root is not None  # P is positive definite, as the caller has shown
     to_scaled = root.transpose()  # in x = L'z, P is close to I, so that the balls of A stay small
     from_scaled = to_scaled.inv()
     scaled_p = from_scaled.transpose() * p * from_scaled
@@ -234,14 +242,15 @@ def decrease_form(corner: Corner, p: arb_mat, keep: arb_mat, weights: list[arb],
     """The matrix of (1 - T_s lambda) V(x) + T_s sum of mu_j w_j^2 - V(x+) as a quadratic form of x and the inputs w_j.
 
     Args:
-        corner: A and B of the sample.
-        p: P, shape (n, n).
+        corner: A and B of the sample, in the coordinates x.
+        p: P of V = x'Px, shape (n, n).
         keep: (1 - T_s lambda) P, shape (n, n).
         weights: T_s mu_j of each input.
-        active: Numbers of the inputs that act; the others have no row, since their column of B is 0.
+        active: Numbers of the inputs that act. An input whose column of B is 0 is left out: with mu_j = 0 its row would
+            be 0, and the matrix not definite.
 
     Returns:
-        The rows, those of x first.
+        The rows of the matrix, those of x first, then those of the active inputs.
     """
     a_p = corner.a.transpose() * p
     by_state = (keep - a_p * corner.a).tolist()
@@ -260,8 +269,8 @@ def decrease_form(corner: Corner, p: arb_mat, keep: arb_mat, weights: list[arb],
 def largest_between_samples(stage_set: StageSet, place: int) -> arb:
     """Upper bound of |e(t)| [m] or |e'(t)| [m/s] at all times, while z at the samples is in the set.
 
-    Between samples the signal is a row over z, since chi(t) = exp(F t) chi + gamma(t) U, plus the effect of d_r's
-    change. U is affine in the gains, so their ends suffice.
+    Between samples chi(t) = exp(F t) chi + gamma(t) U, so the signal is a row over z, plus the effect of d_r's change
+    since the sample. U is affine in the gains, so the ends of their balls suffice.
 
     Args:
         stage_set: The set.

@@ -1,4 +1,4 @@
-"""How much the slope of phi_1 can change within a sample, enclosed; the sliding condition (P5) needs it.
+"""Bounds of the change of phi_1's slope within a sample, which the sliding condition (P5) needs.
 
 In the conservative form with a constant k_o, tau_av = 1/(k_o g), where g is the slope d phi_1/d sigma at the end of a
 sample. K_P is the mean of g over the sample. So tau_av K_P is 1/k_o times a ratio of slopes at points close together.
@@ -22,8 +22,8 @@ ERROR_CELLS = 16
 def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, error_change: arb) -> arb:
     """Ball of K_P (1 + tau_av/T_s), the gain of sigma - s in the equivalent control.
 
-    In the conservative form with a constant k_o, tau_av K_P varies less than the product of the extremes of its
-    factors. The smaller one of both balls is taken.
+    It is ``slide_p`` of the gains. In the conservative form with a constant k_o a second ball is computed, since
+    tau_av K_P = (ratio of slopes)/k_o varies less than its two factors allow; the smaller ball of both is returned.
 
     Args:
         problem: The certificate's problem.
@@ -41,7 +41,7 @@ def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, error_
         ratio = ratio_by_sigma_and_e(problem, stage["sigma"], stage["e"], sigma_change, float(error_change.upper()))
     else:
         ratio = ratio_by_sigma(problem, stage["sigma"], sigma_change)
-    ratios = (1 / ratio).union(ratio)  # of g at one point to g at another one
+    ratios = (1 / ratio).union(ratio)  # g at one point over g at another, in either order
     gain = gains["k_p"] + ratios / (constants["k_o"] * arb(problem["sample_time"]))
     return gain if gain.rad() < gains["slide_p"].rad() else gains["slide_p"]
 
@@ -49,7 +49,8 @@ def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, error_
 def ratio_by_sigma(problem: Problem, sigma: float, change: float) -> arb:
     """The largest ratio of the slopes g = d phi_1/d sigma at two points within a sample, for functions of sigma alone.
 
-    Since g = 1/(k_o tau_av), each cell of |sigma| is widened by the change in a sample, and k_o tau_av enclosed there.
+    Each cell of |sigma| is widened by the change of sigma in a sample. There k_o tau_av = 1/g is enclosed, and the
+    ratio of the ends of its ball bounds that of the slopes.
 
     Args:
         problem: The certificate's problem.
@@ -71,8 +72,8 @@ def ratio_by_sigma(problem: Problem, sigma: float, change: float) -> arb:
 def ratio_by_sigma_and_e(problem: Problem, sigma: float, e: float, change: float, error_change: float) -> arb:
     """The largest ratio of the slopes g = d phi_1/d sigma at two points within a sample, for Table 1's functions.
 
-    These depend on sigma and e. Each cell is widened by the changes in a sample, and g enclosed there, in float64
-    rounded outwards.
+    These functions depend on sigma and e. Each cell is widened by the changes of sigma and e in a sample, and g is
+    enclosed there in float64, rounded outwards.
 
     Args:
         problem: The certificate's problem.

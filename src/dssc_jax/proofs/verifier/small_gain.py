@@ -1,13 +1,14 @@
-"""(P7) Bounds of all signals that imply themselves: a linear middle loop, and a small gain of what deviates from it.
+"""(P7) Bounds of all signals that imply themselves: a linear middle loop, and a small gain of the deviations from it.
 
-At other plants and gains than those of the middle loop,
+With other plants and gains than those of the middle loop, the loop is
 
     z+ = A z + B w + b_v omega_v + b_u omega_u + omega,    |omega_i| <= k_p dGamma_i |command| + sum of dPhi_ij |z_j|
 
-omega_v is what the increment of v (or q) deviates by, omega_u what the command deviates by besides. A signal is at most
-the peak of its response to the starts plus the sums of its absolute impulse responses times the bounds of the inputs.
-The bounds of the deviations follow from bounds Y of the signals. If what results is less than Y for every signal, then
-by induction no signal ever exceeds its bound. docs/proofs.md has the proof.
+omega_v is the deviation of the increment of v (or q), and omega_u the further deviation of the command. A signal is at
+most the peak of its response to the starts, plus the sums of its absolute impulse responses times the bounds of the
+inputs. Bounds Y of the signals give bounds of the deviations, and these give new bounds of the signals. If the new
+bounds are less than Y for every signal, then by induction no signal ever exceeds its bound. docs/proofs.md has the
+proof.
 """
 
 from typing import NamedTuple
@@ -57,9 +58,9 @@ MIDDLE_GAINS: dict[str, tuple[str, ...]] = {
     "u_av": ("k_p", "k_i", "k_n", "slide_p", "slide_i"),
     "phi_1": ("mean", "k_i", "k_n", "slide_p", "slide_i"),
 }
-"""Gains of the middle loop, by coordinate; with q = v - phi_1 (``phi_1``), phi_1/sigma in place of K_P."""
+"""Gains of the middle loop, by the coordinate of the integrator: ``u_av`` for v, ``phi_1`` for q = v - phi_1(s)."""
 CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
-"""Places in a list of bounds: of sigma - s, sigma, e, command + d_r, u_eq - d_r - f, and of the first state of z."""
+"""Places in a list of bounds of sigma - s, sigma, e, command + d_r, u_eq - d_r - f, and of the first state of z."""
 
 
 class MiddleLoop(NamedTuple):
@@ -71,8 +72,9 @@ class MiddleLoop(NamedTuple):
         w: Columns of the inputs of magnitude at most 1, shape (n, inputs).
         deviations: Columns of the inputs omega_v and omega_u. If a_p or mu has an interval, unit columns for the
             omega_i of all states follow.
-        share: dk_p/k_p, half of k_p's width over its middle.
-        half_widths: dPhi_ij in row i and, last in it, k_p dGamma_i; None if neither a_p nor mu has an interval.
+        share: dk_p/k_p, half of the width of k_p's interval over the interval's middle.
+        half_widths: For each state i of chi, the row of dPhi_ij over all j, followed by k_p dGamma_i. None if neither
+            a_p nor mu has an interval.
     """
 
     a: arb_mat
@@ -84,12 +86,12 @@ class MiddleLoop(NamedTuple):
 
 
 class LawDeviations(NamedTuple):
-    """Bounds of how far the control law is from the linear one of the middle loop [m/s].
+    """Bounds of the deviations of the control law from the linear law of the middle loop [m/s].
 
     Args:
-        integral: Bound of |omega_v|, of the increment of v or q.
-        command: Bound of |omega_u| apart from what k_p adds to it.
-        slide: Bound of the equivalent control's deviation, apart from what the changes of sigma and e in a sample add.
+        integral: Bound of |omega_v|, the deviation of the increment of v or q.
+        command: Bound of |omega_u|, the deviation of the command, without the part that another k_p adds.
+        slide: Bound of the deviation of the equivalent control, without the part of :func:`slide_deviation`.
     """
 
     integral: arb
@@ -101,7 +103,7 @@ def middle_loop(problem: Problem, box: Box, coordinate: str, centre: Balls) -> M
     """The linear loop with the plant in the middle of a box.
 
     Args:
-        problem: The problem, with the level and slope of the stage.
+        problem: The problem, in which the stage's own level and slope bound |d| and |d'|.
         box: Intervals of k_p, a_p and 1/mu.
         coordinate: The integrator state in z: ``u_av`` for v, ``phi_1`` for q = v - phi_1(s).
         centre: Gains of the loop, by their names in :data:`MIDDLE_GAINS`.
@@ -134,14 +136,14 @@ def middle_loop(problem: Problem, box: Box, coordinate: str, centre: Balls) -> M
 
 
 def bounded_signals(problem: Problem, centre: Balls, gain: list[arb], *, is_integrated: bool) -> list[list[arb]]:
-    """sigma - s, sigma, e, command + d_r and u_eq - d_r - f of the middle loop as rows over z.
+    """sigma - s, sigma, e, command + d_r and u_eq - d_r - f of the middle loop, each as n entries of a row over z.
 
-    u_eq = v + (1 + tau_av/T_s) (v+ - v), where the slide gains contain the factor 1 + tau_av/T_s.
+    u_eq = v + (1 + tau_av/T_s) (v+ - v), where the gains ``slide_p`` and ``slide_i`` contain the factor 1 + tau_av/T_s.
 
     Args:
         problem: The certificate's problem.
         centre: Gains of the loop, by their names in :data:`MIDDLE_GAINS`.
-        gain: K_P, K_I and K_N of the loop; with q, phi_1/sigma in place of K_P.
+        gain: K_P, K_I and K_N of the loop; if z contains q, phi_1/sigma replaces K_P.
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
     rows = signal_rows(problem)
@@ -153,7 +155,7 @@ def bounded_signals(problem: Problem, centre: Balls, gain: list[arb], *, is_inte
 
 
 def law_columns(problem: Problem, held_matrix: arb_mat, k_p: arb) -> list[list[arb]]:
-    """The columns b_v and b_u of the inputs omega_v and omega_u.
+    """The columns b_v and b_u of the inputs omega_v and omega_u, with n entries each.
 
     omega_u adds to the command. omega_v adds to v (or q) and, through it, to the command with the opposite sign.
 
@@ -169,13 +171,13 @@ def law_columns(problem: Problem, held_matrix: arb_mat, k_p: arb) -> list[list[a
 
 
 def jump_column(problem: Problem, change: arb) -> list[arb]:
-    """What a change of d_r in a sample adds to zeta beside the middle loop, as a column over z, with n entries.
+    """The additional jump of zeta if k_p is not that of the middle loop, as a column over z, with n entries.
 
-    zeta counts from -k_p d_r, so that at another k_p it jumps by another amount.
+    zeta counts from its rest under the input -k_p d_r. So it jumps if d_r changes, by an amount that depends on k_p.
 
     Args:
         problem: The certificate's problem.
-        change: T_s sup |d_r'| dk_p, where dk_p is the distance of k_p from the middle.
+        change: T_s sup |d_r'| dk_p, where dk_p is the largest distance of k_p from that of the middle loop.
     """
     zeta, _, n = state_places(problem)
     entries = [arb(0)] * n
@@ -187,10 +189,10 @@ def jump_column(problem: Problem, change: arb) -> list[arb]:
 def implied_bounds(
     problem: Problem, box: Box, stage: SmallGainStage, gains: Balls, from_start: bool, label: str
 ) -> StageLimits:
-    """(P7) Show that the bounds of a stage imply themselves, and return what they bound.
+    """(P7) Show that the bounds of a stage imply themselves, and return the limits that the stage shows.
 
     Args:
-        problem: The problem, with the level and slope of the stage.
+        problem: The problem, in which the stage's own level and slope bound |d| and |d'|.
         box: Intervals of k_p, a_p and 1/mu.
         stage: The stage, with bounds of the signals and gains of the middle loop.
         gains: Balls of the gains in the stage's region.
@@ -207,7 +209,7 @@ def implied_bounds(
     states = bounds[STATES:]
     responses = middle_responses(problem, box, stage, loop, from_start, label)
     law = law_deviations(problem, stage, gains, centre, bounds)
-    command = bounds[COMMAND] + law.integral + law.command  # of the true loop
+    command = bounds[COMMAND] + law.integral + law.command  # bound of |command + d_r| of the true loop
     sizes = [arb(1)] * loop.w.ncols() + deviation_sizes(loop, law, command, states)
     for i, bound in enumerate(bounds):
         response = total([arb(float(responses.sums[i, j])) * size for j, size in enumerate(sizes)])
@@ -236,17 +238,21 @@ def implied_bounds(
 def middle_responses(
     problem: Problem, box: Box, stage: SmallGainStage, loop: MiddleLoop, from_start: bool, label: str
 ) -> ResponseBounds:
-    """Bounds of the middle loop's responses to its inputs and, from the start on, to the starts.
+    """Bounds of the middle loop's responses to its inputs and, for the first stage, to the starts.
 
-    V = z'Pz has to fall by the share T_s lambda in each sample of the middle loop, since it bounds the tails.
+    V = z'Pz bounds the tails of the responses, so V has to fall by the share T_s lambda in each sample of the middle
+    loop.
 
     Args:
-        problem: The problem, with the level and slope of the stage.
+        problem: The problem, in which the stage's own level and slope bound |d| and |d'|.
         box: Intervals of k_p, a_p and 1/mu.
         stage: The stage, with lambda and P.
         loop: The middle loop.
         from_start: Whether the responses to the starts are needed.
         label: Place of the stage, for messages.
+
+    Raises:
+        Rejected: P is not positive definite, V does not fall, or the responses decay too slowly.
     """
     lost_share = arb(problem["sample_time"]) * arb(stage["rate"])
     p = symmetric_matrix(stage["p"])
@@ -268,19 +274,20 @@ def middle_responses(
 def law_deviations(
     problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb]
 ) -> LawDeviations:
-    """Bounds of how far the control law is from the linear one, while the signals are within the bounds of a stage.
+    """Bounds of the deviations of the control law from the linear one, while the signals stay within a stage's bounds.
 
-    With v the gains K_P, K_I and K_N deviate. With q = v - phi_1 the functions phi_1, phi_2 and n deviate from straight
-    lines: by the spread of their ratios to sigma times |sigma|, or by a largest distance. The smaller one is taken;
-    either is affine in the bounds, so it may stand in P7. In the implicit form the increment of v is K_P(sigma) (sigma
-    - s) in place of the change of phi_1, which adds R(sigma).
+    If z contains v, the gains K_P, K_I and K_N deviate from those of the middle loop. If z contains q = v - phi_1, the
+    functions phi_1, phi_2 and n deviate from straight lines. Their deviation is at most the spread of their ratio to
+    sigma times |sigma|, and at most a largest distance; the smaller bound is taken. Each of both is affine in the
+    bounds of the signals, as P7 needs. In the implicit form the increment of v is K_P(sigma) (sigma - s) in place of
+    the change of phi_1. The difference of both, at most R(sigma), is added.
 
     Args:
         problem: The certificate's problem.
         stage: The stage.
-        gains: Balls of the gains in its region.
-        centre: Gains of the middle loop.
-        bounds: Bounds of the signals.
+        gains: Balls of the gains in the stage's region.
+        centre: Gains of the middle loop, by name.
+        bounds: Bounds of the signals, in the order of a stage's ``bounds``.
     """
     t = arb(problem["sample_time"])
     change = bounds[CHANGE]
@@ -312,14 +319,14 @@ def law_deviations(
 def slide_deviation(
     problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb], error_change: arb
 ) -> arb:
-    """Bound of how far the changes of sigma and e in a sample take u_eq from that of the middle loop [m/s].
+    """Bound of the deviation of u_eq from the middle loop's that the changes of sigma and e in a sample cause [m/s].
 
     Args:
         problem: The certificate's problem.
         stage: The stage.
-        gains: Balls of the gains in its region.
-        centre: Gains of the middle loop.
-        bounds: Bounds of the signals.
+        gains: Balls of the gains in the stage's region.
+        centre: Gains of the middle loop, by name.
+        bounds: Bounds of the signals, in the order of a stage's ``bounds``.
         error_change: Bound of the change of e in a sample [m].
     """
     slope_in_e = abs(gains.get("slide_e", arb(0))).upper()
@@ -330,11 +337,11 @@ def slide_deviation(
 def deviation_sizes(loop: MiddleLoop, law: LawDeviations, command: arb, states: list[arb]) -> list[arb]:
     """Bounds of the inputs omega, in the order of the columns ``loop.deviations``.
 
-    They are omega_v and omega_u of the law and, if a_p or mu has an interval, omega_i of each state.
+    The inputs are omega_v and omega_u of the control law and, if a_p or mu has an interval, omega_i of each state.
 
     Args:
         loop: The middle loop.
-        law: Bounds of the law's deviations.
+        law: Bounds of the deviations of the control law.
         command: Bound of |command + d_r| of the true loop.
         states: Bounds of the states.
     """
@@ -349,12 +356,12 @@ def deviation_sizes(loop: MiddleLoop, law: LawDeviations, command: arb, states: 
 
 
 def bend_between_samples(problem: Problem, box: Box, states: list[arb], command: arb) -> arb:
-    """Bound of how far e is from the straight line between its values at two samples: (T_s^2/8) sup |e''| [m].
+    """Bound of the distance of e from the straight line between its values at two samples: (T_s^2/8) sup |e''| [m].
 
     Args:
-        problem: The problem, with the level and slope of the stage.
+        problem: The problem, in which the stage's own level and slope bound |d| and |d'|.
         box: Intervals of the plant.
-        states: Bounds of the states at the samples.
+        states: Bounds of the n states at the samples.
         command: Bound of |command + d_r| of the true loop.
     """
     chi = state_places(problem).n - 2

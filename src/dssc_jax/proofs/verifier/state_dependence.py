@@ -1,11 +1,12 @@
-"""(P8) Bounds of what a disturbance as in (30) adds to |d| and |d'| by depending on the state.
+"""(P8) Bounds of the share of |d| and |d'| by which a disturbance as in (30) depends on the state.
 
 With y = e + y_m, and s = e' + l_0 e taken at any time, not only at the samples,
 
     |d|  <= alpha + k_d4 |y| + (k_d1 |y| + k_d2 |y'| + k_d3) |s|
     |d'| <= alpha' + k_d5 |y| + k_d4 |y'| + (k_d1 |y'| + k_d2 |y''|) |s| + (k_d1 |y| + k_d2 |y'| + k_d3) |s'|
 
-Bounds of |e|, |e'| and |e''| within a sample follow from those of the states and the command at its beginning.
+where alpha and alpha' bound the disturbance without the state. Bounds of |e|, |e'| and |e''| within a sample follow
+from bounds of the states and the command at the sample's beginning.
 """
 
 from typing import NamedTuple
@@ -22,11 +23,11 @@ PIECES = 64
 
 
 class StateShare(NamedTuple):
-    """Bounds of what the state adds to a disturbance.
+    """Bounds of the state's share of a disturbance, which depends on the state as in (30).
 
     Args:
-        level: Bound of what it adds to |d| [m/s].
-        slope: Bound of what it adds to |d'| [m/s^2].
+        level: Bound of the state's share of |d| [m/s].
+        slope: Bound of the state's share of |d'| [m/s^2].
     """
 
     level: arb
@@ -42,12 +43,12 @@ class Motion(NamedTuple):
 
 
 def disturbance_by_state(problem: Problem, box: Box, bounds: list[arb]) -> StateShare:
-    """Bounds of what the state adds to the disturbance, by the inequalities at the module's top.
+    """Bounds of the state's share of the disturbance, by the inequalities at the module's top; 0 without k_d1 to k_d5.
 
     Args:
-        problem: The problem, with the level and slope of the stage.
+        problem: The problem, in which the stage's own level and slope bound |d| and |d'|.
         box: Intervals of the plant.
-        bounds: Bounds at the samples of |command + d_r|, and of each state.
+        bounds: Bounds at the samples: first that of |command + d_r|, then that of each state.
     """
     k_1, k_2, k_3, k_4, k_5 = map(arb, problem["by_state"])  # k_d1 to k_d5
     if not any(problem["by_state"]):
@@ -69,12 +70,13 @@ def disturbance_by_state(problem: Problem, box: Box, bounds: list[arb]) -> State
 def motion_bounds(problem: Problem, box: Box, bounds: list[arb]) -> Motion:
     """Bounds of the error and its derivatives at all times, from bounds at the samples.
 
-    Between samples chi(t) = exp(F t) chi + gamma(t) U + theta(t), where U = k_p (command + d_r).
+    Between samples chi(t) = exp(F t) chi + gamma(t) U + theta(t), where U = k_p (command + d_r), and theta is the
+    effect of d_r's change since the sample.
 
     Args:
-        problem: The problem, with the level and slope of the stage.
+        problem: The problem, in which the stage's own level and slope bound |d| and |d'|.
         box: Intervals of the plant.
-        bounds: Bounds at the samples of |command + d_r|, and of each state.
+        bounds: Bounds at the samples: first that of |command + d_r|, then that of each state.
     """
     command, *states = bounds
     chi = state_places(problem).n - 2

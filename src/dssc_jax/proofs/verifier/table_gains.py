@@ -1,7 +1,7 @@
-"""The gains of Table 1's functions, which depend on sigma and e, enclosed over a region: the verifier's own (28), (29).
+"""Enclosures, over a region, of the gains of Table 1's functions of sigma and e: the verifier's own (28), (29).
 
-The region is cut into cells of r = |sigma|^(1/2) and |e|. A cell is quartered if its enclosure exceeds the interval
-that the gains at points span by more than a small share of that interval.
+The region is cut into cells of r = |sigma|^(1/2) and |e|. A cell is quartered if its enclosure of a gain exceeds the
+interval that the gain spans at points by more than a small share of that interval's width.
 """
 
 from collections.abc import Sequence
@@ -29,9 +29,9 @@ class Cells(NamedTuple):
     The gains at (-sigma, -e) are those at (sigma, e), so the sign of the product sigma e suffices.
 
     Args:
-        root: |sigma|^(1/2).
-        sign: The sign of sigma e.
-        e: |e|.
+        root: Intervals of |sigma|^(1/2), shape (cells,).
+        sign: The sign of sigma e, -1 or 1, shape (cells,).
+        e: Intervals of |e| [m], shape (cells,).
     """
 
     root: Intervals
@@ -39,11 +39,11 @@ class Cells(NamedTuple):
     e: Intervals
 
     def middles(self) -> "Cells":
-        """A point in the middle of each cell."""
+        """The points in the middle of all cells, as cells without width."""
         return Cells(self.root.middle(), self.sign, self.e.middle())
 
     def quarters_of(self, mask: np.ndarray) -> "Cells":
-        """The four quarters of each cell where a mask is true."""
+        """The four quarters of every cell that a mask selects, shape (4 selected cells,)."""
         low_root, high_root = self.root.selected(mask).halves()
         low_e, high_e = self.e.selected(mask).halves()
         return Cells(
@@ -54,7 +54,7 @@ class Cells(NamedTuple):
 
 
 def first_cells(roots: tuple[float, float], errors: tuple[float, float]) -> Cells:
-    """The cells into which a region is first cut: a grid of ``FIRST_CUTS`` by ``FIRST_CUTS`` for each sign.
+    """Cut a region into its first cells: a grid of ``FIRST_CUTS`` by ``FIRST_CUTS`` for each sign of sigma e.
 
     Args:
         roots: Interval of |sigma|^(1/2).
@@ -80,6 +80,9 @@ def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_f
         e: Largest |e| [m].
         sigma_from: Smallest |sigma| [m/s].
         e_from: Smallest |e| [m].
+
+    Raises:
+        Rejected: The functions cannot be enclosed in the region, or may not be positive there.
     """
     cells = first_cells(square_root(sigma_from, sigma), (e_from, e))
     spans: dict[str, tuple[float, float]] = {}  # of each gain at points
@@ -110,7 +113,7 @@ def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_f
 
 
 def hull_with(ends: tuple[float, float] | None, intervals: Intervals) -> tuple[float, float]:
-    """The smallest interval that contains some intervals and an earlier one; an end is NaN if one of theirs is.
+    """The smallest interval that contains some intervals and an earlier one; a NaN among their ends stays a NaN.
 
     Args:
         ends: The earlier interval; None: there is none.
@@ -132,10 +135,15 @@ def concatenate(parts: Sequence[Intervals]) -> Intervals:
 def gains_of(problem: Problem, cells: Cells) -> dict[str, Intervals]:
     """Intervals of the gains of Table 1's functions in each cell, by name.
 
-    ``k_p`` to ``slide_i`` are those of :mod:`dssc_jax.proofs.verifier.gain_enclosures`; in the conservative form K_I is
-    phi_2/sigma. ``slide_p`` is there in the implicit form only. In the conservative form ``mean`` is phi_1/sigma,
-    ``tau_av`` the filter's time constant [s], ``k_e`` = |d phi_1/d e| and ``by_e`` = |d phi_1/d e|/|sigma|. Terms are
-    written so that each r in them acts in the same direction, where they can be.
+    :mod:`dssc_jax.proofs.verifier.gain_enclosures` defines ``k_p``, ``k_i``, ``k_n`` and ``slide_i``; in the
+    conservative form K_I is phi_2/sigma. The implicit form adds ``slide_p``. The conservative form adds ``mean`` =
+    phi_1/sigma, the filter's time constant ``tau_av`` [s] and, if kappa_b > 0, ``k_e`` = |d phi_1/d e| and ``by_e`` =
+    |d phi_1/d e|/|sigma|. Where possible, a formula is written so that all its terms rise, or all fall, with r: its
+    interval is then narrower.
+
+    Args:
+        problem: The certificate's problem, with Table 1's functions.
+        cells: The cells of |sigma|^(1/2), the sign of sigma e, and |e|.
     """
     c = {name: exactly(float(value)) for name, value in problem["functions"].items() if name != "kind"}
     r, sign, e = cells
@@ -181,5 +189,5 @@ def gains_of(problem: Problem, cells: Cells) -> dict[str, Intervals]:
     if problem["functions"]["kappa_b"]:
         kappa1_by_e = two * kappa * c["kappa_b"]  # |d kappa_1/d e|
         conservative_gains |= {"k_e": kappa1_by_e * phi, "by_e": kappa1_by_e * ratio}
-    # a constant tau_av is one interval for all cells
+    # a constant tau_av is one interval for all cells; adding zeros gives it the shape (cells,)
     return gains | {name: Intervals(gain.low + zeros, gain.high + zeros) for name, gain in conservative_gains.items()}

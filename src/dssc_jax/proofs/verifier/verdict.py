@@ -1,8 +1,8 @@
-"""The verifier of a certificate: it is proved if every premise of the theorem, (P0) to (P8), holds in ball arithmetic.
+"""The verifier of a certificate: a loop is proved if the premises (P0) to (P8) of the theorem hold in ball arithmetic.
 
-It shares no code with the search, only the certificate's numbers, which it takes as exact. All others are balls (`arb`
-of FLINT) that contain the exact ones. Sums of impulse responses and Table 1's gains are float64 with a bound of every
-rounding. docs/proofs.md states the theorem.
+The verifier shares no code with the search. It takes the certificate's numbers as exact. All other numbers are balls
+(`arb` of FLINT) that contain the exact ones, except that sums of impulse responses and Table 1's gains are float64 with
+a bound of every rounding. docs/proofs.md states the theorem.
 """
 
 import math
@@ -66,7 +66,7 @@ def verify_certificate(content: object) -> ProofVerdict:
         content: The content of a certificate's file.
 
     Returns:
-        The largest bounds of all boxes if all are proved, else the verdict on the first that is not.
+        The largest bounds over all boxes if every box is proved, else the verdict on the first box that is not.
     """
     try:
         certificate = require_certificate(content)
@@ -85,11 +85,11 @@ def verify_certificate(content: object) -> ProofVerdict:
 
 
 def verify_proof(problem_content: object, proof_content: object) -> ProofVerdict:
-    """Verify the proof of one box, whether or not other boxes are proved.
+    """Verify the proof of one box, independently of other boxes.
 
     Args:
-        problem_content: The problem of a certificate.
-        proof_content: The proof of a box in it.
+        problem_content: The problem of a certificate, whose form is checked first.
+        proof_content: The proof of one of its boxes, whose form is checked first.
     """
     with ball_precision():
         try:
@@ -117,7 +117,7 @@ def require_cover(problem: Problem, boxes: Sequence[Box]) -> None:
     intervals = {"k_p": problem["k_p"], "a_p": problem["a_p"]}
     if problem["denominator"]:
         low, high = problem["mu"]
-        intervals["rate"] = (1.0 / high, 1.0 / low)
+        intervals["rate"] = (1.0 / high, 1.0 / low)  # rounded to float64, as the problem's box is
     require_premise(bool(boxes), "P1: no box")
     grids = []
     for name, (low, high) in intervals.items():
@@ -140,10 +140,13 @@ def is_within(cell: Box, box: Box) -> bool:
 
 
 def verified_stages(problem: Problem, proof: BoxProof) -> list[StageLimits]:
-    """Verify the stages of a box in their order, and return what each of them shows.
+    """Verify the stages of a box in their order, and return the limits that each of them shows.
 
-    The first stage holds from the start on. A later stage begins where the stage before it ends: its region has to
-    contain those bounds (P4), and it has to assume a disturbance as large as they allow (P8).
+    The first stage holds from the start on. A later stage begins where the stage before it ends. So its region has to
+    contain the earlier stage's limits (P4), and it has to assume a disturbance as large as these limits allow (P8).
+
+    Raises:
+        Rejected: A premise cannot be shown.
     """
     box = proof["box"]
     limits: list[StageLimits] = []
@@ -167,18 +170,27 @@ def verified_stages(problem: Problem, proof: BoxProof) -> list[StageLimits]:
 def verified_stage(
     problem: Problem, box: Box, stage: AnyStage, gains: Balls, *, from_start: bool, label: str
 ) -> StageLimits:
-    """Verify one stage by its method, and return what it shows."""
+    """Verify one stage by its method, and return the limits that the stage shows.
+
+    Args:
+        problem: The problem, in which the stage's own level and slope bound |d| and |d'|.
+        box: Intervals of k_p, a_p and 1/mu.
+        stage: The stage.
+        gains: Balls of the gains in the stage's region.
+        from_start: Whether the stage is the first one, which has to hold from the start on.
+        label: Place of the stage, for messages.
+    """
     if stage["method"] == SMALL_GAIN:
         return implied_bounds(problem, box, cast(SmallGainStage, stage), gains, from_start, label)
     return invariant_bounds(problem, box, cast(InvariantStage, stage), gains, from_start, label)
 
 
 def require_disturbance(problem: Problem, limits: StageLimits, stage: AnyStage, subject: str) -> None:
-    """(P8) Require that bounds of the state allow no larger and no steeper disturbance than a stage assumes.
+    """(P8) Require that the limits of a stage allow no larger and no steeper disturbance than a stage assumes.
 
     Args:
-        problem: The problem, with bounds of the disturbance without the state.
-        limits: What a stage has shown.
+        problem: The problem, with bounds of the part of the disturbance that does not depend on the state.
+        limits: The limits that a stage has shown, of the state's share of the disturbance.
         stage: The stage that assumes ``level`` and ``slope``.
         subject: What allows the disturbance, for messages.
     """
@@ -189,11 +201,11 @@ def require_disturbance(problem: Problem, limits: StageLimits, stage: AnyStage, 
 
 
 def require_region(limits: StageLimits, factor: arb, stage: AnyStage, subject: str) -> None:
-    """(P4) Require that the bounds that a stage has shown lie in the region of a stage.
+    """(P4) Require that the limits that a stage has shown lie in the region of a stage, its own or the next one's.
 
     Args:
-        limits: What a stage has shown.
-        factor: Factor on these bounds, :data:`ENTERED` if they are upper limits.
+        limits: The limits that a stage has shown.
+        factor: Factor on these limits: 1 if they hold at all times, :data:`ENTERED` if they bound upper limits.
         stage: The stage with the region.
         subject: What may leave the region, for messages.
     """

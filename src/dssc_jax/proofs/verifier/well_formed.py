@@ -1,4 +1,8 @@
-"""(P0) The form of a certificate: its entries, types, shapes and signs are checked before anything is computed."""
+"""(P0) The form of a certificate: its entries, types, shapes and signs are checked before anything is computed.
+
+Most functions take a value of the file that was not checked before, and raise ``Rejected`` if the value breaks a
+rule. An argument ``place`` names the entry in the message.
+"""
 
 import math
 import sys
@@ -73,7 +77,13 @@ def require_shape(holds: bool, place: str, rule: str) -> None:
 
 
 def require_entries(table: object, names: AbstractSet[str], place: str) -> dict[str, object]:
-    """Return a table that has exactly the entries of these names; reject anything else."""
+    """Return a table that has exactly the entries of some names; reject anything else.
+
+    Args:
+        table: Any value.
+        names: Names of the entries.
+        place: Name of the table, for the message.
+    """
     if not isinstance(table, dict):
         raise Rejected(f"P0: {place} is no table")
     missing = sorted(names - table.keys())
@@ -127,7 +137,10 @@ def require_interval(interval: object, place: str) -> Interval:
 
 
 def require_certificate(content: object) -> Certificate:
-    """Return the content of a file as a certificate whose parts all have the right form; reject anything else."""
+    """Return the content of a file as a certificate if all of its parts have the right form; reject anything else.
+
+    The version is not checked here; :func:`dssc_jax.proofs.prove.check_certificate` does that.
+    """
     certificate = require_entries(content, Certificate.__required_keys__, "the certificate")
     require_shape(type(certificate["complete"]) is bool, "complete", "is not true or false")
     problem = require_problem(certificate["problem"])
@@ -137,7 +150,7 @@ def require_certificate(content: object) -> Certificate:
 
 
 def require_problem(content: object) -> Problem:
-    """Return the problem of a loop that the theorem covers; reject anything else."""
+    """Return a table as the problem of a loop that the theorem covers; reject anything else."""
     problem: dict[str, Any] = require_entries(content, Problem.__required_keys__, "problem")
     for name in ("sample_time", "l0"):
         require_positive(problem[name], name)
@@ -169,7 +182,7 @@ def require_problem(content: object) -> Problem:
 
 
 def require_nominal(content: object, place: str) -> None:
-    """Reject anything but None or a list of a_n, of k_n > 0 and of whether the nominal control has its term 1/tau_m."""
+    """Reject anything but None or a list of a_n, k_n > 0 and a truth value: whether u_n has its term 1/tau_m."""
     if content is None:
         return
     a_n, k_n, has_predictor_term = require_list(content, 3, place)
@@ -179,7 +192,7 @@ def require_nominal(content: object, place: str) -> None:
 
 
 def require_unmodelled(problem: dict[str, Any]) -> None:
-    """Reject a G(mu s) that is not proper or without G(0) = 1, a delay out of range, and both at once."""
+    """Reject a G(mu s) that is not proper or lacks G(0) = 1, a delay out of range, and a G(mu s) with a delay."""
     numerator = require_numbers(problem["numerator"], None, "numerator")
     denominator = require_numbers(problem["denominator"], None, "denominator")
     delay = require_finite(problem["delay"], "delay")
@@ -197,7 +210,7 @@ def require_unmodelled(problem: dict[str, Any]) -> None:
 
 
 def require_functions(content: object, form: object) -> None:
-    """Reject functions that are no row of the tables, have wrong constants, or have no phi_1 that their form needs."""
+    """Reject functions of an unknown kind, with wrong constants, or not covered in the loop's sampled form."""
     if not isinstance(content, dict):
         raise Rejected("P0: functions is no table")
     kind = content.get("kind")
@@ -215,7 +228,7 @@ def require_functions(content: object, form: object) -> None:
 
 
 def require_proof(problem: Problem, content: object) -> BoxProof:
-    """Return the proof of a box whose intervals and stages fit the problem; reject anything else."""
+    """Return a table as the proof of a box if its intervals and stages fit the problem; reject anything else."""
     proof = require_entries(content, BoxProof.__required_keys__, "a proof")
     names = {"k_p", "a_p", "rate"} if problem["denominator"] else {"k_p", "a_p"}
     for name, interval in require_entries(proof["box"], names, "box").items():
@@ -256,7 +269,13 @@ def require_stage(problem: Problem, content: object) -> None:
 
 
 def require_small_gain_entries(problem: Problem, stage: dict[str, Any], count: int) -> None:
-    """Reject what a stage of the method "small gain" cannot have, in a loop with so many signals and states."""
+    """Reject entries that a stage of the method "small gain" cannot have.
+
+    Args:
+        problem: The problem, with the form and the functions.
+        stage: The stage.
+        count: Number of bounds that the stage must have, one for each signal and each state.
+    """
     is_conservative = problem["form"] == "conservative"
     if stage["coordinate"] == "phi_1":
         is_allowed = is_conservative or problem["functions"]["kind"] in KNOWN_INTEGRALS
@@ -270,7 +289,13 @@ def require_small_gain_entries(problem: Problem, stage: dict[str, Any], count: i
 
 
 def require_set_entries(problem: Problem, stage: dict[str, Any], inputs: int) -> None:
-    """Reject what a stage of the method "invariant set" cannot have, in a loop with so many inputs."""
+    """Reject entries that a stage of the method "invariant set" cannot have.
+
+    Args:
+        problem: The problem, with the form.
+        stage: The stage.
+        inputs: Number of the loop's inputs, each of which needs a multiplier.
+    """
     require_numbers(stage["multipliers"], inputs, "multipliers")
     require_not_negative(stage["moved"], "moved")
     is_allowed = stage["coordinate"] == "u_av" or problem["form"] == "conservative"

@@ -1,6 +1,6 @@
 """Bounds of the tilt, its rates and the lift of a vehicle, from bounds of its signals, in floating point.
 
-docs/vehicle_proofs.md has the formulas, by the symbols that stand beside each line here.
+docs/vehicle_proofs.md has the formulas; comments here give the symbols.
 """
 
 import math
@@ -19,7 +19,7 @@ class OutOfRange(Exception):
 
 @dataclass(frozen=True)
 class Attitude:
-    """Upper bounds of how far the vehicle tilts and turns, and how fast, as floating-point numbers for the search.
+    """Upper bounds of the vehicle's tilt, its rates and its lift, in floating point.
 
     The verifier's :class:`~dssc_jax.proofs.verifier.vehicle.attitude.Attitude` encloses the same bounds rigorously.
     """
@@ -48,6 +48,10 @@ class Attitude:
 
 def attitude_of(problem: VehicleProblem, bounds: Signals) -> Attitude:
     """Bounds of the attitude and its rates, while the signals stay within their bounds.
+
+    Args:
+        problem: The vehicle.
+        bounds: Bounds of the signals by which the vehicle's body moves, by channel and name.
 
     Raises:
         OutOfRange: The lift may vanish, the tilt may exceed 1 rad, or the yaw error may reach half a turn.

@@ -1,7 +1,7 @@
 """Bounds Y of all signals of a vehicle that imply themselves, searched in floating point.
 
-Y is self-consistent, F(Y) < Y: signals within Y are within F(Y), and so they never leave Y. The map F of
-:mod:`dssc_jax.proofs.search.vehicle.bounds_map` is applied to small bounds until they no longer grow.
+Y implies itself if F(Y) < Y: signals within Y stay within F(Y), and therefore never leave Y. The map F of
+:mod:`dssc_jax.proofs.search.vehicle.bounds_map` is applied to small bounds again and again until they no longer grow.
 """
 
 import math
@@ -29,11 +29,11 @@ from dssc_jax.proofs.search.vehicle.waves import derivative, largest_magnitude, 
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
 INFLATION = 2e-3
-"""Excess of a bound in Y over F(Y), as a share, for what the verifier's balls and tails add."""
+"""Excess of a bound in Y over F(Y), as a share, since the verifier's balls and tails make its F(Y) larger."""
 FAST = ("alpha_dot", "turn", "gamma", "behind")
 """Signals whose responses last a few samples only, so that sums over pieces of a sample are less exact."""
 FAST_INFLATION = 1.5e-2
-"""The same excess for the fast signals."""
+"""Excess of a bound in Y over F(Y) for the fast signals."""
 SMALLEST_BOUND = 1e-12
 """Smallest bound of a signal, so that none of them is 0."""
 FIRST_REGION = 1e-3
@@ -47,9 +47,9 @@ SETTLED = 1e-5
 REGION_KEPT = 0.01
 """Relative change of |sigma|'s bound up to which the straight lines are kept."""
 LARGEST_GROWTH = 2.0
-"""Ratio of |sigma|'s bound to the one for which the lines were chosen, above which they are chosen anew."""
+"""Ratio of |sigma|'s bound to the bound for which the lines were chosen, above which lines are chosen anew."""
 DAMPING_SHARE = 1.7
-"""The first damping of drag that is tried, over k W/M."""
+"""Ratio of the first damping by drag that is tried to k W/M."""
 DAMPING_STEPS = (0.6, 0.8, 1.25, 1.6)
 """Further dampings that are tried, as ratios to the first one."""
 FINE_STEPS = (0.88, 0.92, 0.96, 1.04, 1.08, 1.12)
@@ -58,14 +58,14 @@ FINE_STEPS = (0.88, 0.92, 0.96, 1.04, 1.08, 1.12)
 
 @dataclass(frozen=True)
 class VehicleBounds:
-    """Bounds of all signals that imply themselves, with the linear channels from which they follow.
+    """Bounds of all signals that imply themselves, with the linear channels for which they were found.
 
     Args:
-        lines: The straight lines of each channel.
-        damping: Damping of drag.
+        lines: The straight lines of each channel, which replace its controller's functions.
+        damping: Damping by drag in the linear channels.
         bounds: Y, bounds of the signals; with a moving reference, of their deviation from the nominal flight.
         rotors: Bounds of the rotors.
-        totals: Bounds of the vehicle's own signals; the same as ``bounds`` where the vehicle hovers.
+        totals: Bounds of the vehicle's own signals; equal to ``bounds`` if the vehicle hovers.
     """
 
     lines: dict[str, StraightLines]
@@ -76,7 +76,7 @@ class VehicleBounds:
 
     @property
     def error(self) -> float:
-        """Bound of the horizontal error |e| [m]."""
+        """Bound of |e| along x and along y [m], by which outcomes are compared."""
         return self.totals["x"]["e"]
 
     @property
@@ -88,15 +88,17 @@ class VehicleBounds:
 def vehicle_bounds(
     problem: VehicleProblem, damping: Damping, inflation_factor: float, *, from_start: bool
 ) -> VehicleBounds | Obstacle:
-    """Search for bounds that imply themselves, with one damping of drag.
+    """Search for bounds that imply themselves, with a given damping by drag in the linear channels.
 
-    The straight lines suit a region of |sigma|. They are chosen again if the bounds of |sigma| turn out to be others.
+    The straight lines are chosen for a region of |sigma|. They are chosen again if the bounds found for |sigma| differ
+    from this region.
 
     Args:
         problem: The vehicle.
-        damping: Damping of drag.
+        damping: Damping by drag.
         inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
-        from_start: Whether the bounds hold from the problem's start on; else the vehicle begins on the nominal flight.
+        from_start: Whether a moving reference's start, off the nominal flight, is included. Otherwise the vehicle
+            begins on the nominal flight, apart from the problem's E_0 and V_0.
 
     Returns:
         The bounds, or why there are none: ``GAIN`` or ``SLIDING``.
@@ -132,13 +134,13 @@ def with_new_lines(
     """Choose the straight lines of some channels anew, and compute their responses and the nominal flight with them.
 
     Args:
-        vehicle: The vehicle before.
+        vehicle: The vehicle with its lines so far; those of other channels are kept.
         linear: The linear channels.
         regions: Bound of |sigma| of each channel whose lines are chosen.
         from_start: Whether the responses include that to the start's difference from the nominal flight.
 
     Returns:
-        None if a channel is not stable, or its responses last too long.
+        The vehicle with the new lines; None if a channel is not stable, or its responses last too long.
     """
     problem = vehicle.problem
     lines = dict(vehicle.lines)
@@ -158,7 +160,7 @@ def with_new_lines(
 
 
 def has_moved(region: float, fitted_region: float | None) -> bool:
-    """Whether a bound of |sigma| differs from the one for which the lines were chosen; True if none were chosen."""
+    """Whether a bound of |sigma| differs from that for which the lines were chosen; True if no lines were chosen."""
     return fitted_region is None or abs(region - fitted_region) > REGION_KEPT * fitted_region
 
 
@@ -167,7 +169,7 @@ class GrownBounds(NamedTuple):
 
     Args:
         bounds: Y, bounds of the signals.
-        is_fixed_point: Whether they no longer grow; else |sigma| outgrew its region, and new lines must be chosen.
+        is_fixed_point: Whether the bounds no longer grow; else |sigma| outgrew its region, which needs new lines.
     """
 
     bounds: Signals
@@ -182,11 +184,11 @@ def fixed_point_from(
     Args:
         vehicle: The linear channels and their responses.
         start: Bounds to begin with, of every signal of every channel.
-        regions: Bound of |sigma| of each channel for which the lines were chosen.
+        regions: For each channel, the bound of |sigma| for which the lines were chosen.
         inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
 
     Returns:
-        The bounds; None if they leave the range of the theorem, or still grow after ``ITERATIONS``.
+        The bounds; None if they leave the range of the theorem, or still grow after ``ITERATIONS`` steps.
     """
     y = start
     for _ in range(ITERATIONS):
@@ -202,14 +204,15 @@ def fixed_point_from(
         y = larger_bounds(y, wider)
         if growth <= 1.0 + SETTLED:
             return GrownBounds(y, is_fixed_point=True)
-        growing = y if vehicle.nominal is None else totals  # the totals are those of the bounds before this step
+        # in hover the bounds after this step are compared, with a nominal flight the totals before this step
+        growing = y if vehicle.nominal is None else totals
         if any(growing[name]["sigma"] > LARGEST_GROWTH * regions[name] for name in CHANNELS):
             return GrownBounds(y, is_fixed_point=False)
     return None
 
 
 def largest_growth(before: Signals, after: Signals) -> float:
-    """Compute the largest ratio of a bound to the one before."""
+    """Compute the largest ratio, over all signals, of the bound after a step to the bound before it."""
     ratios = []
     for name in CHANNELS:
         ratios += [bound / before[name][key] for key, bound in after[name].items()]
@@ -217,7 +220,7 @@ def largest_growth(before: Signals, after: Signals) -> float:
 
 
 def larger_bounds(first: Signals, second: Signals) -> Signals:
-    """Take the larger one of two bounds of each signal, by channel and name."""
+    """Return the larger one of two bounds of each signal, by channel and name."""
     larger: Signals = {}
     for name in CHANNELS:
         larger[name] = {key: max(bound, first[name][key]) for key, bound in second[name].items()}
@@ -225,10 +228,10 @@ def larger_bounds(first: Signals, second: Signals) -> Signals:
 
 
 def inflated_bound(signal: str, bound: float, inflation_factor: float) -> float:
-    """Widen the bound of a signal for what the verifier's balls and tails add.
+    """Widen the bound of a signal, since the verifier's balls and tails make the bound that it finds larger.
 
     Args:
-        signal: Name of the signal; sums of fast signals are widened more.
+        signal: Name of the signal; bounds of the signals in :data:`FAST` are widened more.
         bound: The bound.
         inflation_factor: Multiple of the usual widening.
     """
@@ -256,9 +259,9 @@ def checked_bounds(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | Obstac
 
 
 def first_damping(problem: VehicleProblem) -> Damping:
-    """Return the damping of drag that is tried first: ``DAMPING_SHARE`` times k W/M, where W is the wind's speed.
+    """Return the damping by drag that is tried first: ``DAMPING_SHARE`` times k W/M, where W is the wind's speed.
 
-    k W/M is about the slope of the drag over the velocity. A moving reference adds its speed to W.
+    k W/M is about the slope of the drag over the velocity. The speed of a moving reference is combined with W.
     """
     drag_h, drag_z = problem.structure_drag
     lightest = problem.mass[0]
@@ -275,12 +278,12 @@ def first_damping(problem: VehicleProblem) -> Damping:
 def best_bounds(
     problem: VehicleProblem, inflation_factor: float, *, from_start: bool = True
 ) -> VehicleBounds | Obstacle:
-    """Try several values of the assumed drag damping; keep the bounds with the smallest horizontal error.
+    """Search for bounds with several dampings by drag, and keep those with the smallest horizontal error.
 
     Args:
         problem: The vehicle.
         inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
-        from_start: Whether the bounds hold from the problem's start on; else the vehicle begins on the nominal flight.
+        from_start: As in :func:`vehicle_bounds`.
 
     Returns:
         The bounds, or why there are none.
@@ -288,7 +291,7 @@ def best_bounds(
     damping = first_damping(problem)
 
     def bounds_with(plane_damping: float) -> VehicleBounds | Obstacle:
-        """Search for bounds that imply themselves, with a damping of horizontal drag [1/s]."""
+        """Search for bounds that imply themselves, with a damping by horizontal drag [1/s]."""
         return vehicle_bounds(problem, damping._replace(plane=plane_damping), inflation_factor, from_start=from_start)
 
     best = bounds_with(damping.plane)
@@ -302,7 +305,7 @@ def best_bounds(
 
 
 def with_smaller_error(best: VehicleBounds | Obstacle, trial: VehicleBounds | Obstacle) -> VehicleBounds | Obstacle:
-    """Choose the better outcome: bounds before an obstacle, then the smaller horizontal error, then the first."""
+    """Return the better outcome: bounds are better than an obstacle, and a smaller horizontal error is better."""
     if isinstance(trial, Obstacle):
         return best
     if isinstance(best, Obstacle):
@@ -311,7 +314,7 @@ def with_smaller_error(best: VehicleBounds | Obstacle, trial: VehicleBounds | Ob
 
 
 def proof_of(problem: VehicleProblem, result: VehicleBounds) -> JsonObject:
-    """Put bounds that hold at all times into the form of a certificate's proof, without time cells."""
+    """Make a certificate's proof without time cells from bounds that hold at all times."""
     channels = linear_channel_proofs(problem, result)
     for name in CHANNELS:
         channels[name]["bounds"] = result.bounds[name]
@@ -319,7 +322,7 @@ def proof_of(problem: VehicleProblem, result: VehicleBounds) -> JsonObject:
 
 
 def linear_channel_proofs(problem: VehicleProblem, result: VehicleBounds) -> JsonObject:
-    """Put the linear channels into the form of a certificate: slopes, share, damping, lambda and P of each."""
+    """Make the linear channels of a certificate's proof: slopes, share, damping, lambda and P of each, by name."""
     linear = linear_channels(problem, result.damping)
     dampings = {"x": result.damping.plane, "z": result.damping.vertical, "psi": 0.0}
     channels: JsonObject = {}

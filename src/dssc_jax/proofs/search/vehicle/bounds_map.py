@@ -1,9 +1,9 @@
-"""The map F from bounds Y of a vehicle's signals to the bounds F(Y) that follow from them, in floating point.
+"""The map F from bounds Y of a vehicle's signals to the bounds F(Y) that follow from Y, in floating point.
 
-Bounds of the signals bound the remainders, what the vehicle has besides its linear channels. In these, straight lines
-replace the functions phi_1, phi_2 and n of the control laws. The responses of the linear channels to the remainders, to
-what the functions deviate by from straight lines, to the constant and to the start add up to F(Y).
-docs/vehicle_proofs.md has the formulas; it calls n phi_3.
+Bounds of the signals bound the remainders, the differences of the vehicle from its linear channels. In the channels,
+straight lines replace the functions phi_1, phi_2 and n of the control laws. F(Y) is the sum of the channels' responses
+to the remainders, to the functions' deviations from straight lines, to the constant and to the start.
+docs/vehicle_proofs.md has the formulas, with phi_3 in place of n.
 """
 
 from dataclasses import dataclass
@@ -38,10 +38,10 @@ class LinearVehicle:
 
     Args:
         problem: The vehicle.
-        damping: Damping of drag.
-        lines: The straight lines of each channel.
+        damping: Damping by drag.
+        lines: The straight lines of each channel, which replace its controller's functions.
         responses: Responses of each channel.
-        nominal: The nominal flight; the bounds are those of the deviation from it. None: the vehicle hovers.
+        nominal: The nominal flight, from which the vehicle's deviation is bounded. None: the vehicle hovers.
     """
 
     problem: VehicleProblem
@@ -51,15 +51,13 @@ class LinearVehicle:
     nominal: Nominal | None
 
     def deviations(self, totals: Signals) -> dict[str, ChannelDeviations]:
-        """Bound how far phi_1, phi_2 and n of each channel are from straight lines while the signals are within bounds.
-
-        Only the bound of |sigma| matters.
+        """Bound the deviations of phi_1, phi_2 and n of each channel from straight lines, while |sigma| is bounded.
 
         Args:
-            totals: Bounds of the vehicle's signals, by channel.
+            totals: Bounds of the vehicle's signals, by channel, of which only ``sigma`` is used.
 
         Returns:
-            Bounds of the distances from the lines, by channel.
+            Bounds of the deviations, by channel.
         """
         deviations = {}
         for name in CHANNELS:
@@ -69,7 +67,7 @@ class LinearVehicle:
 
 
 def linear_channels(problem: VehicleProblem, damping: Damping) -> dict[str, LinearChannel]:
-    """Make the linear channels by name, with the damping of drag."""
+    """Make the linear channels ``x`` (and y), ``z`` and ``psi``, with a given damping by drag."""
     return {
         "x": planar_channel(problem, damping.plane),
         "z": vertical_channel(problem, damping.vertical),
@@ -83,10 +81,10 @@ def input_sizes(
     """Bound a channel's inputs omega_u, omega_r and remainders, in this order, shape (inputs,).
 
     Args:
-        response: Responses of the channel, which know the order of its remainders.
-        deviations: How far its functions are from straight lines.
-        sigma: Bound of |sigma|.
-        remainders: Bounds of its remainders, by name.
+        response: Responses of the channel, which state the order of the remainders.
+        deviations: Bounds of the functions' deviations from straight lines.
+        sigma: Bound of |sigma| [m/s; rad/s in psi].
+        remainders: Bounds of the channel's remainders, by name.
     """
     omega_u = deviations.of_command(sigma)
     omega_r = deviations.of_integral(sigma)
@@ -116,15 +114,15 @@ def bounds_at_points(
 ) -> np.ndarray:
     """Bound a channel's signals at the points of a sample, shape (points, signals).
 
-    They are the sum of the responses to omega_u and omega_r, to the remainders, to the constant |o| <= k g and to the
+    A bound is the sum of the responses to omega_u and omega_r, to the remainders, to the constant |o| <= k g and to the
     start.
 
     Args:
         problem: The vehicle.
-        name: The channel.
+        name: Name of the channel.
         response: Responses of the channel.
-        deviations: How far its functions are from straight lines.
-        sizes: Bounds of its inputs omega_u, omega_r and remainders, shape (inputs,).
+        deviations: Bounds of the functions' deviations from straight lines, for the start's q_(-1).
+        sizes: Bounds of the inputs omega_u, omega_r and the remainders, shape (inputs,).
     """
     channel = problem.channels[name]
     factors = axis_factors(name, response)  # h
@@ -136,7 +134,7 @@ def bounds_at_points(
 
 
 class ImpliedBounds(NamedTuple):
-    """What bounds Y of the signals imply.
+    """The bounds that follow from bounds Y of the signals.
 
     Args:
         bounds: F(Y), bounds of the signals.
@@ -154,7 +152,7 @@ def apply_map(vehicle: LinearVehicle, deviations: dict[str, ChannelDeviations], 
 
     Args:
         vehicle: The linear channels and their responses.
-        deviations: How far each channel's functions are from straight lines.
+        deviations: Bounds of the functions' deviations from straight lines, by channel.
         y: Y, bounds of the signals, or of their deviation from the nominal flight.
 
     Raises:
@@ -180,7 +178,7 @@ def slides(
 
     Args:
         problem: The vehicle.
-        deviations: How far each channel's functions are from straight lines.
+        deviations: Bounds of the functions' deviations from straight lines, and the largest gains, by channel.
         totals: Bounds of the vehicle's signals.
         remainders: Bounds of the remainders.
     """
@@ -202,11 +200,11 @@ def slides(
 
 
 def vehicle_totals(nominal: Nominal | None, y: Signals) -> tuple[Signals, Couplings | None]:
-    """Bound the vehicle's own signals by N + Y, and the products that couple the channels of a moving vehicle.
+    """Bound the vehicle's own signals by N + Y, and a moving vehicle's distances from the motion its reference needs.
 
     Args:
         nominal: The nominal flight, whose signals are at most N; None: the vehicle hovers, and has no couplings.
-        y: Y, bounds of the vehicle's deviation from it.
+        y: Y, bounds of the vehicle's deviation from the nominal flight.
     """
     if nominal is None:
         return y, None
@@ -214,6 +212,6 @@ def vehicle_totals(nominal: Nominal | None, y: Signals) -> tuple[Signals, Coupli
 
 
 def is_stable(problem: VehicleProblem, linear: dict[str, LinearChannel], lines: dict[str, StraightLines]) -> bool:
-    """Whether all channels are stable at their samples, with straight lines in place of the functions."""
+    """Whether all sampled channels are stable, with straight lines in place of the controllers' functions."""
     steps = [sampled_channel(problem, problem.channels[name], linear[name], lines[name]) for name in CHANNELS]
     return all(spectral_radius(step.a) < 1.0 for step in steps)

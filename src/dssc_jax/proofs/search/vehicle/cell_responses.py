@@ -1,8 +1,8 @@
-"""What the inputs of each time cell, the constant and the start do to a channel's signals in every cell.
+"""Effects of each time cell's inputs, of the constant and of the start on a channel's signals in every cell.
 
-An input that changes from cell to cell is the input of the first cell from t = 0 on, plus each change from the first
-sample of its cell on. So the responses here are sums of the effects of an input that acts from some sample on, G_l in
-docs/vehicle_proofs.md. In floating point.
+An input whose bound changes from cell to cell is split up: the bound of the first cell acts from t = 0 on, and each
+change from the first sample of its cell on. So the responses here are sums of the effects of an input that acts from
+some sample on, G_l in docs/vehicle_proofs.md. All numbers are in floating point.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from dssc_jax.proofs.vehicle_problem import VehicleProblem
 
 
 class CellLayout(NamedTuple):
-    """How time is cut into cells.
+    """The division of time into cells.
 
     Args:
         samples: Number of samples of a cell other than the last.
@@ -34,14 +34,14 @@ class CellResponses:
 
     Args:
         response: The channel's responses without cells.
-        upper: Entry k is the sum of the effects up to the last sample of the cell k cells later, shape (cells, rows,
-            inputs).
-        lower: Entry k is the sum of the effects before the first sample of the cell k cells later, for k = 0 the effect
-            in the same sample; shape (cells, rows, inputs).
+        upper: Entry k is the sum of the effects up to the last sample of the cell k cells after the input's; shape
+            (cells, rows, inputs).
+        lower: Entry k is the sum of the effects up to the last sample before the same cell or, for k = 0, the effect in
+            the same sample; shape (cells, rows, inputs).
         total_sum: The sum of the effects over all samples, shape (rows, inputs).
         constant: Largest response to the constant in each cell, the last one included, shape (cells + 1, rows).
-        starts: Largest responses in each cell, the last one included: to the start's e and e' together, and to a
-            q_(-1) of 1; shape (cells + 1, rows, 2).
+        starts: Largest responses in each cell, the last one included: to e and e' at the start together, with the known
+            offset from the nominal flight, and to a q_(-1) of 1; shape (cells + 1, rows, 2).
     """
 
     response: ChannelResponse
@@ -60,9 +60,9 @@ def cell_responses(
     Args:
         problem: The vehicle.
         name: Name of the channel.
-        response: Its responses without cells.
-        series: Its responses sample by sample.
-        layout: The layout of the cells.
+        response: The channel's responses without cells.
+        series: The channel's responses sample by sample.
+        layout: The division of time into cells.
     """
     e, e_dot = problem.channels[name].initial
     by_e, by_e_dot, by_q = np.moveaxis(np.abs(series.starts), -1, 0)
@@ -88,8 +88,8 @@ def largest_in_cells(values: np.ndarray, layout: CellLayout) -> np.ndarray:
     """The largest value in each cell, then in the last cell, which has all later samples.
 
     Args:
-        values: Values at the samples, shape (samples, ...).
-        layout: The layout of the cells.
+        values: Values at the samples, shape (samples, ...); their number is a multiple of a cell's.
+        layout: The division of time into cells.
 
     Returns:
         Shape (cells + 1, ...).

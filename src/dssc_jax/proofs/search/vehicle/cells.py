@@ -1,8 +1,8 @@
 """Bounds in cells of time, for a vehicle that starts away from where it hovers, searched in floating point.
 
-One bound for all times is loose while the effect of a start decays. So each cell of time has its own bounds; the last
-cell is all the time after the others. What the inputs of earlier cells still cause is known, so that the bounds of a
-cell are a fixed point of their own. docs/vehicle_proofs.md has the theorem.
+While the effect of a start decays, one bound for all times is loose. So each cell of time has its own bounds; the last
+cell is all the time after the others. The effect of earlier cells' inputs is known when a cell is searched, so the
+cell's bounds are a fixed point by themselves. docs/vehicle_proofs.md has the theorem.
 """
 
 import math
@@ -47,11 +47,11 @@ MOVING_LAYOUTS = LAYOUTS[2:]
 REGION_SHARES = (0.3, 0.6, 0.9, 0.0)
 """Regions for which lines are tried: shares of the way from the settled |sigma| to the start's, in logarithms."""
 REGIONS = tuple((share, 1.0) for share in REGION_SHARES)
-"""The same with a widening of the region of 1."""
+"""Pairs of such a share and the factor 1, which does not widen the region."""
 MOVING_REGIONS = ((0.3, 1.0), (0.3, 1.12), (0.3, 1.25))
 """Shares of the way, and widenings of the region, for which lines are tried if the reference moves."""
 EXTRA_CELLS = 20
-"""Number of cells of the last cell's time whose responses to start and constant are compared for the largest."""
+"""Length of the beginning of the last cell, in cells, in which the largest responses to the start are sought."""
 ITERATIONS = 400
 """Largest number of times that the map F is applied in a cell."""
 SETTLED = 1e-4
@@ -69,8 +69,8 @@ class CellBounds:
     """Bounds of all signals in time cells that imply themselves.
 
     Args:
-        final: The bounds of the last cell, with the lines and the damping of all cells.
-        settled: The bounds of the vehicle that starts at rest, with the lines and the damping of the upper limits.
+        final: The bounds of the last cell, with the straight lines and the damping by drag of all cells.
+        settled: The bounds of the vehicle that starts at rest, with the lines and the damping for the upper limits.
         samples: Number of samples of a cell other than the last.
         cells: Bounds of the signals in each cell other than the last.
     """
@@ -82,9 +82,9 @@ class CellBounds:
 
 
 class DeviationTable:
-    """How far a channel's functions are from straight lines, for regions of |sigma| on a geometric grid.
+    """Bounds of a channel's functions' deviations from straight lines, for a geometric grid of regions of |sigma|.
 
-    An entry is computed when it is first asked for, since the search asks for the same regions often.
+    An entry is computed at its first use and then kept, since the search uses the same regions often.
 
     Args:
         problem: The vehicle.
@@ -93,7 +93,7 @@ class DeviationTable:
     """
 
     def __init__(self, problem: VehicleProblem, name: str, lines: StraightLines) -> None:
-        """Begin with an empty table."""
+        """Store the arguments, and begin with an empty table."""
         self.problem = problem
         self.name = name
         self.lines = lines
@@ -110,14 +110,14 @@ class DeviationTable:
 
 @dataclass(frozen=True)
 class CellSearch:
-    """What the search in all time cells has in common.
+    """The data that the search uses in all time cells.
 
     Args:
         problem: The vehicle.
-        damping: Damping of drag.
-        nominal: The nominal flight; the bounds are those of the deviation from it. None: the vehicle hovers.
+        damping: Damping by drag.
+        nominal: The nominal flight, from which the vehicle's deviation is bounded. None: the vehicle hovers.
         responses: Responses of each channel in time cells.
-        tables: How far each channel's functions are from straight lines.
+        tables: Bounds of the deviations of each channel's functions from straight lines.
         inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
     """
 
@@ -130,14 +130,14 @@ class CellSearch:
 
 
 def cell_bounds(problem: VehicleProblem, inflation_factor: float) -> CellBounds | Obstacle:
-    """Search for bounds in time cells, with several layouts of cells and straight lines, until one choice succeeds.
+    """Search for bounds in time cells: try several layouts of cells and straight lines until one choice succeeds.
 
     Args:
         problem: The vehicle.
         inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
 
     Returns:
-        The bounds, or why there are none.
+        The bounds, or why there are none: the obstacle of the settled vehicle or of the last choice.
     """
     settled = settled_bounds(problem, inflation_factor)
     if isinstance(settled, Obstacle):
@@ -159,7 +159,7 @@ def cell_bounds(problem: VehicleProblem, inflation_factor: float) -> CellBounds 
 
 
 def settled_bounds(problem: VehicleProblem, inflation_factor: float) -> VehicleBounds | Obstacle:
-    """Search for bounds of the vehicle that starts at rest, or on the nominal flight; or say why there are none."""
+    """Search for bounds of the vehicle that starts at rest, or on the nominal flight; return them or the obstacle."""
     resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
     return best_bounds(replace(problem, channels=resting), inflation_factor, from_start=False)
 
@@ -170,8 +170,8 @@ def lines_between(problem: VehicleProblem, name: str, sigma: float, share: float
     Args:
         problem: The vehicle.
         name: Name of the channel.
-        sigma: Bound of |sigma| of the settled vehicle.
-        share: Share of the way from this bound to the start's, in logarithms.
+        sigma: Bound of |sigma| of the settled vehicle [m/s; rad/s in psi].
+        share: Share of the way from this bound to the bound at the start, in logarithms.
         widening: Factor that widens the region.
     """
     start_sigma = problem.first_sigma(name)
@@ -190,9 +190,9 @@ def bounds_cell_by_cell(
 
     Args:
         problem: The vehicle.
-        settled: Bounds of the settled vehicle, whose damping of drag is taken.
+        settled: Bounds of the settled vehicle, whose damping by drag is used in all cells.
         lines: The straight lines of each channel.
-        layout: The layout of the cells.
+        layout: The division of time into cells.
         inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
     """
     search = cell_search(problem, settled.damping, lines, layout, inflation_factor)
@@ -226,9 +226,14 @@ def cell_search(
     layout: CellLayout,
     inflation_factor: float,
 ) -> CellSearch | None:
-    """Compute what the search in all cells has in common; None if a channel is unstable or its responses last too long.
+    """Compute the data for the search in all cells; None if a channel is unstable or its responses last too long.
 
-    The arguments are those of :func:`bounds_cell_by_cell`, with the damping of drag.
+    Args:
+        problem: The vehicle.
+        damping: Damping by drag in all cells.
+        lines: The straight lines of each channel.
+        layout: The division of time into cells.
+        inflation_factor: Multiple of the usual widening of bounds, which lets the verifier confirm them.
     """
     linear = linear_channels(problem, damping)
     if not is_stable(problem, linear, lines):
@@ -249,9 +254,9 @@ def cell_search(
 
 
 def cells_proof_of(problem: VehicleProblem, result: CellBounds) -> JsonObject:
-    """Put bounds in time cells into the form of a certificate's proof.
+    """Make a certificate's proof from bounds in time cells.
 
-    With a moving reference the upper limits use the channels of the cells (M0), else those of the settled vehicle.
+    The upper limits use the linear channels of the settled vehicle; with a moving reference those of the cells (M0).
     """
     bounds = {}
     for name in CHANNELS:
@@ -266,7 +271,7 @@ class CellFixedPoint(NamedTuple):
 
     Args:
         bounds: Bounds of the signals.
-        inputs: Bounds of each channel's inputs that they allow, shape (inputs,) each.
+        inputs: Bounds of each channel's inputs while the signals are within ``bounds``, shape (inputs,) each.
         rotors: Bounds of the rotors.
     """
 
@@ -285,11 +290,11 @@ def cell_fixed_point(
 ) -> CellFixedPoint | None:
     """Search for bounds in one cell that imply themselves; None if there are none.
 
-    The search begins at the bounds of the cell before: in the last cell, smaller bounds are not better, since earlier
-    inputs then exceed them by more.
+    The search begins at the bounds of the cell before. In the last cell smaller bounds are no better beginning, since
+    earlier inputs then exceed those of the cell by more.
 
     Args:
-        search: What the search in all cells has in common.
+        search: The data for the search in all cells.
         inputs: Bounds of each channel's inputs in the cells before, shape (inputs,) each.
         start: Bounds of the signals to begin with.
         earlier: Bounds of the rotors in the cells before; None in the first one.
@@ -325,7 +330,7 @@ def cell_fixed_point(
 
 
 def largest_change(before: Signals, after: Signals) -> float:
-    """Compute the largest relative change of a bound."""
+    """Compute the largest relative change of a bound, over all signals."""
     changes = []
     for name in CHANNELS:
         changes += [abs(bound / before[name][key] - 1.0) for key, bound in after[name].items()]
@@ -335,15 +340,15 @@ def largest_change(before: Signals, after: Signals) -> float:
 def input_effects(
     responses: CellResponses, inputs: list[np.ndarray], current: np.ndarray, *, is_last: bool
 ) -> np.ndarray:
-    """Bound what a channel's inputs in a cell and in the cells before cause in the cell, shape (rows,).
+    """Bound the effects of a channel's inputs up to a cell on the channel's signals in this cell, shape (rows,).
 
-    The input of the first cell acts from t = 0 on; its change from cell to cell acts from that cell on. A rise counts
-    with an upper bound of the sum of effects, a fall with a lower bound.
+    The input's bound of the first cell acts from t = 0 on; each change between two cells acts from the later cell on. A
+    rise is multiplied by an upper bound of the sum of effects, a fall by a lower bound.
 
     Args:
         responses: Responses of the channel in time cells.
-        inputs: Bounds of its inputs in the cells before, shape (inputs,) each.
-        current: Bounds of its inputs in the cell, shape (inputs,).
+        inputs: Bounds of the channel's inputs in the cells before, shape (inputs,) each.
+        current: Bounds of the channel's inputs in the cell, shape (inputs,).
         is_last: Whether the cell is the last one.
     """
     sizes = np.array([*inputs, current])
@@ -364,10 +369,10 @@ def input_effects(
 
 
 def start_effects(search: CellSearch, name: str, cell: int) -> np.ndarray:
-    """Bound what the start and the constant |o| <= k g cause in a channel in one cell, shape (rows,).
+    """Bound the effects of the start and of the constant |o| <= k g on a channel's signals in one cell, shape (rows,).
 
     Args:
-        search: What the search in all cells has in common.
+        search: The data for the search in all cells.
         name: Name of the channel.
         cell: Number of the cell.
     """
@@ -376,7 +381,7 @@ def start_effects(search: CellSearch, name: str, cell: int) -> np.ndarray:
     start_sigma = problem.first_sigma(name)
     deviations = search.tables[name].at(start_sigma)
     q_deviation = deviations.of_start(problem.channels[name].start, start_sigma, problem.sample_time)
-    by_error, by_q = np.moveaxis(responses.starts[cell], -1, 0)  # E_0 and V_0 are in the first
+    by_error, by_q = np.moveaxis(responses.starts[cell], -1, 0)  # ``by_error`` contains the factors E_0 and V_0
     effects = by_error + q_deviation * by_q
     return effects + problem.thrust_deviation * GRAVITY * responses.constant[cell]
 

@@ -1,7 +1,7 @@
 """The linear channels of a vehicle: between the samples, and at the samples with the controller, in floating point.
 
-Near hover the vehicle is nearly three linear channels, x (and y), z and psi, that do not depend on each other. What it
-has besides are the remainders r_j. docs/vehicle_proofs.md has the equations.
+Near hover the vehicle behaves like three independent linear channels, x (and y), z and psi; the remainders r_j are the
+differences from them. docs/vehicle_proofs.md has the equations.
 """
 
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ GRAVITY = 9.81
 
 
 class Signal(NamedTuple):
-    """A signal C chi + d U of a linear channel.
+    """A signal C chi + d U of a linear channel, where U is the command that acts.
 
     Args:
         row: C, shape (m,).
-        direct: d, the factor of the command that acts.
+        direct: d.
     """
 
     row: np.ndarray
@@ -29,7 +29,7 @@ class Signal(NamedTuple):
 
 
 class Damping(NamedTuple):
-    """Damping c of drag [1/s] in the linear channels: of x and y, and of z."""
+    """Damping c by drag [1/s] in the linear channels: ``plane`` in x and y, ``vertical`` in z."""
 
     plane: float
     vertical: float
@@ -72,15 +72,16 @@ class LinearChannel:
 class SampledChannel:
     """One sample of a channel with its controller, z+ = A z + b_u omega_u + b_q omega_r.
 
-    z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)) with a delay of D samples, rounded up. omega_u and omega_q are what the
-    functions deviate by from straight lines, and omega_q = s_q omega_u + omega_r.
+    z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)) with a delay of D samples, rounded up. omega_u and omega_q are the
+    deviations of the functions from straight lines, in the command and in the sum q, and omega_q = s_q omega_u +
+    omega_r.
 
     Args:
         a: A, shape (n, n).
-        by_command: b_u, with the share s_q of b_q, shape (n,).
+        by_command: b_u, which includes s_q b_q, shape (n,).
         by_integral: b_q, shape (n,).
-        acting: The command that acts, as a row over z, shape (n,).
-        fresh: Share of this sample's command in it; 1 without a delay.
+        acting: The command that acts, as a row over z, without the omegas of the same sample, shape (n,).
+        fresh: Share of this sample's command in the acting command; 1 without a delay.
         equivalent: u_av = q_k + k_1 sigma_k as a row over z, shape (n,).
     """
 
@@ -93,9 +94,10 @@ class SampledChannel:
 
 
 class ChannelBuilder:
-    """A :class:`LinearChannel` under construction; its attributes have the names and meanings of that class.
+    """A :class:`LinearChannel` under construction, whose attributes have the names and meanings of that class.
 
-    ``states`` has each state as a row over chi. ``signals`` has the signals besides e, e', sigma and bend.
+    The attribute ``states`` holds each state as a row over chi. ``signals`` holds the signals besides e, e', sigma and
+    bend, which :meth:`channel` adds.
 
     Args:
         count: Number of states without a rotor lag; the first two are e and e'.
@@ -103,7 +105,7 @@ class ChannelBuilder:
     """
 
     def __init__(self, count: int, *, lag: bool) -> None:
-        """Begin with chi' = 0, no remainders and no signals."""
+        """Begin with chi' = 0, without remainders and signals."""
         m = count + lag
         self.states = np.eye(m)
         self.dynamics = np.zeros((m, m))
@@ -119,9 +121,9 @@ class ChannelBuilder:
 
         Args:
             place: Place of the driven state in chi.
-            demand: The demand.
-            lag: tau [s]; 0: none.
-            achieved_name: Name of the achieved value as a signal.
+            demand: The demand, as a signal.
+            lag: tau [s]; 0: no lag.
+            achieved_name: Name of the achieved value as a signal; unused without a lag.
         """
         if not lag:
             self.dynamics[place] = demand.row
@@ -136,7 +138,11 @@ class ChannelBuilder:
         self.signals |= {achieved_name: Signal(achieved, 0.0), "behind": Signal(difference, demand.direct)}
 
     def channel(self, controller: ChannelProblem) -> LinearChannel:
-        """The finished channel, with the controller's signals e, e', sigma = e' + l_0 e and bend = e'' + l_0 e'."""
+        """Finish the channel: add the signals e, e', sigma = e' + l_0 e and bend = e'' + l_0 e'.
+
+        Args:
+            controller: The channel's controller, of which l_0 is used.
+        """
         e, e_dot = self.states[:2]
         errors = {
             "e": Signal(e, 0.0),
@@ -150,8 +156,8 @@ class ChannelBuilder:
 def planar_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
     """The channel of x and y: e'' = alpha - c e' + r_force and alpha'' = m + r_torque, where alpha is g times the tilt.
 
-    m = a_0 (a_h - alpha) - a_1 alpha', and chi = (e, e', alpha, alpha'). With a rotor lag chi has gamma besides,
-    alpha'' = gamma + r_torque and gamma' = (m - gamma)/tau + r_lag.
+    m = a_0 (a_h - alpha) - a_1 alpha' with the wanted acceleration a_h, and chi = (e, e', alpha, alpha'). A rotor lag
+    adds the state gamma, with alpha'' = gamma + r_torque and gamma' = (m - gamma)/tau + r_lag.
 
     Args:
         problem: The vehicle.
@@ -181,8 +187,8 @@ def planar_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
 def vertical_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
     """The channel of z: e'' = a_z - c e' + r_force with the wanted acceleration a_z; chi = (e, e').
 
-    With a rotor lag chi has besides q, the acceleration that the rotors achieve: e'' = q - c e' + r_force and q' = (a_z
-    - q)/tau + r_lag.
+    A rotor lag adds the state q, the acceleration that the rotors achieve, with e'' = q - c e' + r_force and q' = (a_z
+    - q)/tau + r_lag. The constant o acts like r_force; its response is computed from the column of ``force``.
 
     Args:
         problem: The vehicle.
@@ -203,7 +209,7 @@ def vertical_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
 def yaw_channel(problem: VehicleProblem) -> LinearChannel:
     """The channel of psi: psi'' = eta_psi + r_torque with eta_psi = k_y (U - psi') + i_y I and I' = U - psi'.
 
-    chi = (e, psi', I). With a rotor lag chi has gamma_psi besides, psi'' = gamma_psi + r_torque and gamma_psi' =
+    chi = (e, psi', I). A rotor lag adds the state gamma_psi, with psi'' = gamma_psi + r_torque and gamma_psi' =
     (eta_psi - gamma_psi)/tau + r_lag.
     """
     builder = ChannelBuilder(3, lag=problem.rotor_lag > 0.0)
@@ -225,7 +231,7 @@ class Flow(NamedTuple):
 
     Args:
         phi: exp(A_c t), shape (m, m).
-        gamma: gamma(t), what a held command 1 adds to chi, shape (m,).
+        gamma: gamma(t), the part of chi(t) that a held command of 1 causes, shape (m,).
     """
 
     phi: np.ndarray
@@ -233,7 +239,7 @@ class Flow(NamedTuple):
 
 
 def flow(linear: LinearChannel, time: float) -> Flow:
-    """The exact solution of a channel without remainders after a time [s]."""
+    """Compute the exact solution of a channel without remainders after a time [s]."""
     m = linear.control.size
     generator = np.zeros((m + 1, m + 1))
     generator[:m, :m] = linear.dynamics

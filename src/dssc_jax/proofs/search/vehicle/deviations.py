@@ -1,8 +1,8 @@
-"""How far the functions of a channel's controller are from straight lines, in floating point.
+"""Bounds of the deviations of a channel's functions from straight lines, in floating point.
 
-phi_1, phi_2 and n = sigma/(k_n tau_m), the phi_3 of the nominal control's term 1/tau_m, become k_1 sigma, k_2 sigma and
-k_3 sigma. What remains are omega_u = phi_1 + n - (k_1 + k_3) sigma and omega_q = phi_2 - k_2 sigma = s_q omega_u +
-omega_r, where the share s_q makes omega_r small.
+The lines k_1 sigma, k_2 sigma and k_3 sigma replace phi_1, phi_2 and n = sigma/(k_n tau_m), which comes from the
+nominal control's term 1/tau_m and which docs/vehicle_proofs.md calls phi_3. The deviations are omega_u = phi_1 + n -
+(k_1 + k_3) sigma and omega_q = phi_2 - k_2 sigma = s_q omega_u + omega_r, where the share s_q makes omega_r small.
 """
 
 from collections.abc import Callable
@@ -22,13 +22,13 @@ DISTANCE_ROOM = 1.01
 RATIO_ROOM = 1.001
 """Factor that widens a distance over |sigma|, for the verifier's enclosure."""
 SHARED_ROOM = 1.03
-"""Factor that widens the distance of omega_r besides, where the share is not 0, for the verifier's enclosure."""
+"""Further factor that widens the bound of omega_r if the share is not 0, for the verifier's enclosure."""
 SMALLEST_REGION = 1e-9
 """Smallest bound of |sigma| for a region."""
 
 
 class DeviationBounds(NamedTuple):
-    """Bounds of |phi_1 - k_1 sigma|, |omega_r| and |omega_u|, or of the same over |sigma|."""
+    """Bounds of |phi_1 - k_1 sigma|, |omega_r| and |omega_u|, or of these three over |sigma|."""
 
     phi_1: float
     omega_r: float
@@ -51,13 +51,13 @@ class LargestGains(NamedTuple):
 
 @dataclass(frozen=True)
 class ChannelDeviations:
-    """Bounds of how far a channel's functions are from straight lines over a region of |sigma|.
+    """Bounds of the deviations of a channel's functions from straight lines over a region of |sigma|.
 
-    phi_1(sigma) deviates from k_1 sigma. The sum q, which integrates phi_2, deviates by omega_r from that of k_2 sigma,
-    and the command by omega_u. All that drives q is omega_q = omega_r + s_q omega_u.
+    omega_u is the deviation of the command. The sum q, which integrates phi_2, has the deviation omega_q = s_q omega_u
+    + omega_r, of which omega_r is bounded here.
 
     Args:
-        lines: The straight lines, and the share s_q of the command's deviation that drives q.
+        lines: The straight lines, and the share s_q of the command's deviation in that of q.
         distance: D_1, D_2 and D_b, the largest deviations.
         ratio: d_1, d_2 and d_b, the largest deviations over |sigma|.
         largest_gains: The largest gains in the region.
@@ -69,21 +69,21 @@ class ChannelDeviations:
     largest_gains: LargestGains
 
     def of_command(self, sigma: float) -> float:
-        """Bound of |omega_u|, what the command deviates by, for |sigma| up to ``sigma``: min(D_b, d_b |sigma|)."""
+        """Bound of |omega_u|, the command's deviation, for |sigma| up to ``sigma``: min(D_b, d_b |sigma|)."""
         return min(self.distance.omega_u, self.ratio.omega_u * sigma)
 
     def of_integral(self, sigma: float) -> float:
-        """Bound of |omega_r|, what the sum q deviates by, for |sigma| up to ``sigma``: min(D_2, d_2 |sigma|)."""
+        """Bound of |omega_r|, the own deviation of the sum q, for |sigma| up to ``sigma``: min(D_2, d_2 |sigma|)."""
         return min(self.distance.omega_r, self.ratio.omega_r * sigma)
 
     def of_start(self, start: str, start_sigma: float, sample_time: float) -> float:
-        """Bound of how far q_(-1), the sum before the first sample, is from that of straight lines.
+        """Bound of the deviation of q_(-1), the sum before the first sample, from its value with straight lines.
 
-        By the start of the predictor, q_(-1) is 0 for ``zero``, which is exact, -phi_1(sigma_0) for ``matched``, and
-        -phi_1(sigma_0) - T_s/2 phi_2(sigma_0) for ``midpoint``, whose last term deviates by T_s/2 omega_q.
+        q_(-1) is 0 for the start ``zero``, which is exact, and -phi_1(sigma_0) for ``matched``. For ``midpoint`` it is
+        -phi_1(sigma_0) - T_s/2 phi_2(sigma_0), whose last term deviates by T_s/2 omega_q.
 
         Args:
-            start: Start of the predictor.
+            start: Start of the predictor: ``zero``, ``matched`` or ``midpoint``.
             start_sigma: Sigma_0, bound of |sigma| at t = 0.
             sample_time: T_s [s].
         """
@@ -97,9 +97,9 @@ class ChannelDeviations:
 
 
 def law_problem(problem: VehicleProblem, channel: ChannelProblem) -> ProofProblem:
-    """Make a problem of a single axis with a channel's controller, by which the gains of its functions are evaluated.
+    """Make a problem of a single axis with a channel's controller, for which the gains of the functions are evaluated.
 
-    The gains do not depend on the plant, which is a double integrator without disturbance here.
+    The gains do not depend on the plant, so a double integrator without disturbance stands for it.
     """
     return ProofProblem(
         sample_time=problem.sample_time,
@@ -126,18 +126,24 @@ def law_problem(problem: VehicleProblem, channel: ChannelProblem) -> ProofProble
 
 
 def points_of(problem: VehicleProblem, name: str, sigma: float) -> GainPoints:
-    """Evaluate the gains of a channel's functions at points with |sigma| up to ``sigma``; they do not depend on e."""
+    """Evaluate the gains of a channel's functions, which do not depend on e, at points of a region of |sigma|.
+
+    Args:
+        problem: The vehicle.
+        name: Name of the channel.
+        sigma: Largest |sigma| [m/s; rad/s in psi]; below ``SMALLEST_REGION`` the latter is used.
+    """
     return gain_points(law_problem(problem, problem.channels[name]), max(sigma, SMALLEST_REGION), e=0.0)
 
 
 def best_lines(points: GainPoints, *, joint: bool) -> StraightLines:
     """Find the straight lines nearest to phi_1 + n and to phi_2, and the share s_q with the smallest omega_r.
 
-    Only the sum k_1 + k_3 matters to omega_u. k_3 is the mean of n/sigma, and k_1 the sum less k_3.
+    omega_u depends on the sum k_1 + k_3 only. k_3 is the mean of n/sigma, and k_1 the sum less k_3.
 
     Args:
         points: The gains of the functions at points.
-        joint: Whether omega_q takes a share of omega_u; else s_q = 0.
+        joint: Whether s_q is chosen; else s_q = 0.
     """
     size = np.abs(points.sigma)
     phi_2_ratios = points.columns["k_i"]  # phi_2/sigma
@@ -151,18 +157,21 @@ def best_lines(points: GainPoints, *, joint: bool) -> StraightLines:
 
 
 def nearest_share(size: np.ndarray, omega_q_ratios: np.ndarray, omega_u_ratios: np.ndarray) -> float:
-    """Find the share s_q for which the largest |omega_q - s_q omega_u| is smallest; that distance is convex in s_q.
+    """Find the share s_q for which the largest |omega_q - s_q omega_u|, a convex function of s_q, is smallest.
 
     Args:
         size: |sigma| at points, shape (points,).
-        omega_q_ratios: omega_q/sigma there, shape (points,).
-        omega_u_ratios: omega_u/sigma there, shape (points,).
+        omega_q_ratios: omega_q/sigma at the points, shape (points,).
+        omega_u_ratios: omega_u/sigma at the points, shape (points,).
+
+    Returns:
+        s_q; 0 if omega_q or omega_u vanishes at all points.
     """
     largest_omega_u = largest_distance(size, omega_u_ratios, 0.0)
     largest_omega_q = largest_distance(size, omega_q_ratios, 0.0)
     if largest_omega_u == 0.0 or largest_omega_q == 0.0:
         return 0.0
-    limit = 2.0 * largest_omega_q / largest_omega_u  # beyond it the difference exceeds omega_q
+    limit = 2.0 * largest_omega_q / largest_omega_u  # a larger |s_q| is worse than s_q = 0
 
     def distance_with(share: float) -> float:
         """The largest |omega_q - share omega_u| at the points."""
@@ -172,11 +181,11 @@ def nearest_share(size: np.ndarray, omega_q_ratios: np.ndarray, omega_u_ratios: 
 
 
 def nearest_slope(size: np.ndarray, ratios: np.ndarray) -> float:
-    """Find the slope k for which the largest |f - k sigma| is smallest, for a function f; that distance is convex in k.
+    """Find the slope k for which the largest |f - k sigma|, a convex function of k, is smallest, for a function f.
 
     Args:
         size: |sigma| at points, shape (points,).
-        ratios: f/sigma there, shape (points,).
+        ratios: f/sigma at the points, shape (points,).
     """
     low = float(ratios.min())
     high = float(ratios.max())
@@ -192,12 +201,18 @@ def minimiser(function: Callable[[float], float], low: float, high: float) -> fl
 
 
 def largest_distance(size: np.ndarray, ratios: np.ndarray, slope: float) -> float:
-    """The largest |f - slope sigma| at points with f/sigma = ``ratios``, widened a little; ``size`` has |sigma|."""
+    """The largest |f - slope sigma| over some points, widened by ``DISTANCE_ROOM``.
+
+    Args:
+        size: |sigma| at the points, shape (points,).
+        ratios: f/sigma at the points, shape (points,).
+        slope: Slope of the straight line.
+    """
     return DISTANCE_ROOM * float(np.max(np.abs(ratios - slope) * size))
 
 
 def deviations_of(points: GainPoints, lines: StraightLines) -> ChannelDeviations:
-    """Estimate from samples how far the functions of a channel deviate from straight lines, over a region of |sigma|.
+    """Estimate, from points, bounds of the functions' deviations from straight lines over a region of |sigma|.
 
     The verifier checks the estimates.
 
@@ -235,5 +250,5 @@ def deviations_of(points: GainPoints, lines: StraightLines) -> ChannelDeviations
 
 
 def largest_ratio(ratios: np.ndarray, slope: float) -> float:
-    """Compute the largest |f/sigma - slope| at points with f/sigma = ``ratios``, widened a little."""
+    """The largest |f/sigma - slope| over points with f/sigma = ``ratios``, widened by ``RATIO_ROOM``."""
     return RATIO_ROOM * float(np.max(np.abs(ratios - slope)))

@@ -1,6 +1,6 @@
-"""Bounds of the drag that the linear channels' damping leaves over, and of its torques, in floating point.
+"""Bounds of the part of the drag that the linear channels' damping does not contain, and of the torques by drag.
 
-docs/vehicle_proofs.md has the formulas, by the symbols that stand beside each line here.
+They are in floating point. docs/vehicle_proofs.md has the formulas; comments here give the symbols.
 """
 
 import math
@@ -17,7 +17,7 @@ from dssc_jax.proofs.vehicle_problem import VehicleProblem
 DRAG_POINTS = 65
 """Number of values of |v|, and of |r|, in the grid on which the largest drag is taken."""
 DRAG_ROOM = 1.004
-"""Factor that widens the largest drag, for what lies between the points and for the verifier's enclosure."""
+"""Factor that widens the largest drag at the points, for the space between them and for the verifier's enclosure."""
 
 
 class DragCoefficients(NamedTuple):
@@ -34,11 +34,11 @@ class DragCoefficients(NamedTuple):
 
 @dataclass(frozen=True)
 class DragBounds:
-    """Bounds of drag and of its torques.
+    """Bounds of the drag that damping does not contain, and of the torques by drag.
 
     Args:
-        plane: D_h + x_h, bound of the drag over mass in the plane plus c v [m/s^2].
-        vertical: D_z + x_z, the same along z [m/s^2].
+        plane: D_h + x_h, bound of the sum of c v and the drag over mass in the plane [m/s^2].
+        vertical: D_z + x_z, bound of this sum along z [m/s^2].
         torque_h: tau_h, bound of the torque across body z over inertia [rad/s^2].
         torque_z: tau_z, bound of the torque along body z over inertia [rad/s^2].
     """
@@ -54,14 +54,14 @@ def drag_of(
 ) -> DragBounds:
     """Bounds of the drag of structure and propellers, less the channels' damping, and of the torques on the body.
 
-    The torques are those of the propellers' drag and the gyroscopic one of the rotors.
+    The torques come from the propellers' drag and from the rotors' spin: gyroscopic, and by spinning up.
 
     Args:
         problem: The vehicle.
         bounds: Bounds of the signals.
         attitude: Bounds of the attitude.
         rotors: Bounds of the rotors.
-        damping: Damping of drag in the linear channels.
+        damping: Damping by drag in the linear channels.
     """
     wind_h, wind_z = problem.wind  # W and W_z
     speed_h = bounds["x"]["speed"]
@@ -92,10 +92,10 @@ def drag_of(
 
 
 def drag_in_plane(speed_bound: float, wind: float, drag: DragCoefficients, across: float, c: float) -> float:
-    """D_h, the largest |c v - x r| [m/s^2] over vectors of the plane: what damping c leaves of the drag x r.
+    """D_h, the largest |c v - x r| [m/s^2] over vectors of the plane: the part of the drag x r beyond the damping c v.
 
-    v is the vehicle's velocity with |v| <= ``speed_bound``, and r = v - w its velocity against a wind |w| <= ``wind``.
-    x lies between k |r| and k (|r|^2 + across^2)^(1/2) + linear.
+    v is the vehicle's velocity with |v| <= ``speed_bound``, and r = v - w its velocity relative to a wind w with |w| <=
+    ``wind``. x lies between k |r| and k (|r|^2 + across^2)^(1/2) + linear.
 
     Args:
         speed_bound: Bound of |v| [m/s].
@@ -115,7 +115,15 @@ def drag_in_plane(speed_bound: float, wind: float, drag: DragCoefficients, acros
 
 
 def drag_along(speed_bound: float, wind: float, drag: DragCoefficients, across: float, c: float) -> float:
-    """D_z, the largest |c v - x r| [m/s^2] over numbers; see :func:`drag_in_plane` for the symbols and arguments."""
+    """D_z, the largest |c v - x r| [m/s^2] over numbers v and r along z, with the symbols of :func:`drag_in_plane`.
+
+    Args:
+        speed_bound: Bound of |v| [m/s].
+        wind: Bound of the vertical wind [m/s].
+        drag: Coefficients of the drag over mass.
+        across: Bound of the air's relative speed in the plane [m/s].
+        c: Damping [1/s].
+    """
     v = np.linspace(-speed_bound, speed_bound, 4 * DRAG_POINTS)
     r = v - wind  # by symmetry the wind has one sign
     return largest_drag(np.abs(v), np.abs(r), v * r, drag, across, c)
@@ -124,7 +132,7 @@ def drag_along(speed_bound: float, wind: float, drag: DragCoefficients, across: 
 def largest_drag(
     speed: np.ndarray, air_speed: np.ndarray, product: np.ndarray, drag: DragCoefficients, across: float, c: float
 ) -> float:
-    """The largest |c v - x r| at some points, for both ends of x, widened a little [m/s^2].
+    """The largest |c v - x r| over some points and both ends of x, widened by ``DRAG_ROOM`` [m/s^2].
 
     Args:
         speed: |v| at the points [m/s].

@@ -1,8 +1,8 @@
-"""The nominal flight of a moving reference: the steady response of the linear channels to it, in floating point.
+"""The nominal flight: the steady response of the linear channels to a moving reference, in floating point.
 
-The reference is known motion, so the proof subtracts it: the bounds Y are those of the vehicle's deviation from the
-nominal flight. The reference and the known parts of the remainders are sums of sines, and so is the steady response of
-a sampled linear channel. docs/vehicle_proofs.md has the theorem.
+The motion of the reference is known. So the proof subtracts the nominal flight, and its bounds Y are bounds of the
+vehicle's deviation from this flight. The reference and the known parts of the remainders are sums of sines, and so is
+the steady response of a sampled linear channel. docs/vehicle_proofs.md has the theorem.
 """
 
 from dataclasses import dataclass
@@ -33,9 +33,9 @@ from dssc_jax.proofs.search.vehicle.waves import (
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
 ROOM = 1.0 + 1e-4
-"""Factor that widens the flight's bounds, for what the verifier's balls add."""
+"""Factor that widens the flight's bounds, since the verifier's balls make its bounds larger."""
 SLOPE_ROOM = 1.1
-"""Factor that widens slopes within a sample, for what the verifier's balls add."""
+"""Factor that widens slopes within a sample, since the verifier's balls make its slopes larger."""
 SLOPE_TIMES = (0.0, 0.5, 1.0)
 """Times within a sample at which slopes are compared, in T_s."""
 AXES_OF = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
@@ -47,12 +47,12 @@ class Nominal:
     """Bounds of the nominal flight of a vehicle whose reference moves.
 
     Args:
-        bounds: N, bounds of its signals, by channel and name. Besides there are ``rate``, the rate of the output z or
-            psi itself, and bounds of differences: ``alpha_gap`` of alpha - alpha_0, ``wanted_gap`` of a_h - alpha_0,
-            ``lift_gap`` of a_z - z_m'', ``yaw_gap`` of psi' - psi_m'.
+        bounds: N, bounds of the flight's signals, by channel and name. Further entries are ``rate``, for the rate of
+            the output itself, and bounds of differences: ``alpha_gap`` of alpha - alpha_0, ``wanted_gap`` of a_h -
+            alpha_0, ``lift_gap`` of a_z - z_m'', ``yaw_gap`` of psi' - psi_m'.
         lift: A_m, bound of |z_m''| [m/s^2].
         yaw: Psi_m, bound of |psi_m'| [rad/s].
-        starts: Known part of the vehicle's z_0 less the flight's z_0, by channel, a column for each axis, (n, axes).
+        starts: Known part of the vehicle's z_0 less the flight's z_0, by channel, shape (n, axes) each.
     """
 
     bounds: Signals
@@ -63,7 +63,8 @@ class Nominal:
     def totals(self, y: Signals) -> Signals:
         """Bounds N + Y of the vehicle's own signals, from bounds Y of its deviation from the flight.
 
-        In z and psi, ``e_dot`` is then the rate of the output itself, which drag and turn depend on.
+        In z and psi, ``e_dot`` bounds the rate of the output itself in place of the error's rate, since drag and the
+        body's turn depend on it.
         """
         totals = {}
         for name in CHANNELS:
@@ -74,7 +75,7 @@ class Nominal:
         return totals
 
     def couplings(self, y: Signals) -> Couplings:
-        """Bounds of how far the vehicle is from what its reference needs, from bounds Y of its deviation."""
+        """Bounds of the vehicle's distances from the motion its reference needs, from bounds Y of its deviation."""
         return Couplings(
             alpha_gap=self.bounds["x"]["alpha_gap"] + y["x"]["alpha"],
             wanted_gap=self.bounds["x"]["wanted_gap"] + y["x"]["wanted"],
@@ -91,8 +92,9 @@ class AxisInputs:
 
     Args:
         reference: The reference y_m without its constant.
-        known_remainders: The known parts of the remainders, by name; they drive the linear loop as y_m does.
-        comparisons: Differences to bound, by name: a signal, and the sum of sines that is subtracted from it.
+        known_remainders: The known parts of the remainders, by name, which also drive the linear loop.
+        comparisons: Differences that are to be bounded, by name: the name of a signal, and the sum of sines that is
+            subtracted from this signal.
     """
 
     reference: Waves
@@ -101,13 +103,13 @@ class AxisInputs:
 
     @property
     def frequencies(self) -> set[Fraction]:
-        """The frequencies [Hz] of all that drives the loop."""
+        """The frequencies [Hz] of the reference and of the known remainders."""
         return {frequency for waves in (self.reference, *self.known_remainders.values()) for frequency in waves}
 
 
 @dataclass(frozen=True)
 class SteadyResponse:
-    """The steady response of a channel to what drives one of its axes at one frequency, in phasors.
+    """The steady response of a channel to the known motion along one of its axes, at one frequency, in phasors.
 
     Args:
         state: Z_f, phasor of z at the samples, shape (n,).
@@ -129,7 +131,7 @@ def nominal_of(
         problem: The vehicle.
         linear: The linear channels.
         lines: The straight lines of each channel.
-        damping: c, damping of drag in the plane [1/s].
+        damping: c, the damping by drag in the plane [1/s].
     """
     if problem.reference is None:
         return None
@@ -163,7 +165,7 @@ def axis_inputs_of(problem: VehicleProblem, damping: float) -> dict[str, AxisInp
 
     Args:
         problem: The vehicle.
-        damping: c, damping of drag in the plane [1/s].
+        damping: c, the damping by drag in the plane [1/s].
     """
     references = reference_waves(problem)
     speeds = {axis: derivative(waves) for axis, waves in references.items()}
@@ -188,7 +190,7 @@ def axis_inputs_of(problem: VehicleProblem, damping: float) -> dict[str, AxisInp
 
 @dataclass(frozen=True)
 class InputPhasors:
-    """Phasors at one frequency of what drives an axis.
+    """Phasors, at one frequency, of the known motion along an axis.
 
     Args:
         speed: Phasor of y_m'.
@@ -202,7 +204,7 @@ class InputPhasors:
 
 
 def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
-    """The phasors at one frequency [Hz] of the known motion along an axis; 0 where it has no such frequency."""
+    """The phasors of the known motion along an axis at one frequency [Hz]; 0 for a motion without this frequency."""
     i_omega = 1j * angular_frequency(frequency)
     speed = i_omega * inputs.reference.get(frequency, 0.0)
     known_remainders = {key: waves.get(frequency, 0.0) for key, waves in inputs.known_remainders.items()}
@@ -212,11 +214,12 @@ def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
 def driven_generator(linear: LinearChannel, phasors: InputPhasors, rate: float) -> np.ndarray:
     """The generator of (chi, U, e^(i rate t)) within a sample, shape (m + 2, m + 2).
 
-    U is held, and the last entry, a wave, drives chi: e' = v - y_m', and the known remainders act.
+    U is held. The last entry is a wave that drives chi: through -y_m' in e' = v - y_m', where v is the rate of the
+    output, and through the known remainders.
 
     Args:
         linear: The linear channel.
-        phasors: Phasors of what drives the axis.
+        phasors: Phasors of the known motion along the axis.
         rate: Angular frequency [rad/s].
     """
     m = linear.control.size
@@ -239,7 +242,7 @@ def signal_rows(
     Args:
         linear: The linear channel.
         inputs: The known motion along the axis.
-        phasors: Its phasors at the frequency.
+        phasors: Phasors of this motion at the frequency.
         l0: Error pole [1/s].
         frequency: The frequency [Hz].
     """
@@ -263,15 +266,16 @@ def steady_response(
     inputs: AxisInputs,
     frequency: Fraction,
 ) -> SteadyResponse:
-    """The steady response of a channel to what drives one of its axes at one frequency f.
+    """The steady response of a channel to the known motion along one of its axes, at one frequency f.
 
-    At the samples (e^(2 pi i f T_s) - A) Z_f = D_f, where D_f is the phasor of what drives z in a sample.
+    At the samples (e^(2 pi i f T_s) - A) Z_f = D_f, where D_f is the phasor of the known motion's effect on z in a
+    sample.
 
     Args:
         problem: The vehicle.
         name: Name of the channel.
-        linear: Its linear channel.
-        lines: The straight lines in place of its functions, and the share s_q.
+        linear: The linear channel.
+        lines: The straight lines in place of the controller's functions, and the share s_q.
         inputs: The known motion along the axis.
         frequency: f [Hz].
     """
@@ -311,12 +315,13 @@ def steady_response(
 def first_state(problem: VehicleProblem, name: str, lines: StraightLines, inputs: AxisInputs, n: int) -> np.ndarray:
     """The known part of the vehicle's z_0 on an axis, shape (n,).
 
-    The vehicle starts with the reference's velocity, but without a turn: there sigma_0 = -psi_m' sets the sum q_(-1).
+    Along x, y and z the vehicle starts with the velocity of its reference. In psi it starts without a turn, so that
+    sigma_0 = -psi_m' sets the sum q_(-1).
 
     Args:
         problem: The vehicle.
         name: Name of the channel.
-        lines: The straight lines in place of its functions.
+        lines: The straight lines in place of the controller's functions.
         inputs: The known motion along the axis.
         n: Length of z.
     """
@@ -330,7 +335,7 @@ def first_state(problem: VehicleProblem, name: str, lines: StraightLines, inputs
 
 
 def bounds_of(problem: VehicleProblem, axes: list[dict[Fraction, SteadyResponse]]) -> dict[str, float]:
-    """Bounds N of all signals of a channel of the nominal flight, by name.
+    """Bounds N of all signals of the nominal flight in a channel, by name.
 
     Each frequency adds the largest phasor at the points of a sample, plus T_s/8 times the largest slope.
 
@@ -364,7 +369,7 @@ def signal_phasors(response: SteadyResponse | None, signal: str) -> np.ndarray:
 
 
 def slope_phasors(response: SteadyResponse | None, signal: str) -> np.ndarray:
-    """Phasors of a signal's derivative within a sample, shape (times,); zero without a response, and of u_av."""
+    """Phasors of a signal's derivative within a sample, shape (times,); one zero without a response, and for u_av."""
     if response is None or signal == "u_av":  # u_av does not change within a sample
         return np.zeros(1)
     return response.slopes[signal]

@@ -1,6 +1,6 @@
-"""Bounds of the remainders, what the vehicle has besides its linear channels, in floating point.
+"""Bounds of the remainders, the differences of the vehicle from its linear channels, in floating point.
 
-The formulas are those of docs/vehicle_proofs.md, in their order; their symbols stand beside each line.
+docs/vehicle_proofs.md has the formulas in the same order; comments give the symbols.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from dssc_jax.proofs.vehicle_problem import VehicleProblem
 
 @dataclass(frozen=True)
 class Couplings:
-    """Bounds of how far a moving vehicle is from what its reference needs, by which its channels are coupled.
+    """Bounds of a moving vehicle's distances from the motion that its reference needs; they couple the channels.
 
     alpha_0 = y_m'' + c y_m' is the alpha that the reference needs in the plane.
 
@@ -37,7 +37,7 @@ class Couplings:
 
 
 class Remainders(NamedTuple):
-    """Bounds of the remainders, and of the rotors on the way to them.
+    """Bounds of the remainders, and those of the rotors from which they follow.
 
     Args:
         channels: Bounds of the remainders ``force``, ``torque`` and ``lag``, by channel and name.
@@ -66,8 +66,8 @@ def remainders_of(
 
     Args:
         problem: The vehicle.
-        bounds: Bounds of the vehicle's signals, in a cell of time.
-        damping: Damping of drag.
+        bounds: Bounds of the signals by which the vehicle's body moves, at all times or in a cell of time.
+        damping: Damping by drag.
         earlier_rotors: Bounds of the rotors in the cells before; None in the first one.
         couplings: Bounds of the couplings; None: the vehicle hovers.
 
@@ -94,7 +94,10 @@ def remainders_of(
 
 
 def plane_force(problem: VehicleProblem, attitude: Attitude, drag: DragBounds, couplings: Couplings | None) -> float:
-    """x.force [m/s^2]: what p_h'' has besides alpha - c v, by a tilt that is not small, lift, thrust and drag."""
+    """x.force, bound of |p_h'' - (alpha - c v)| [m/s^2]: the effects of a large tilt, of lift, thrust and drag.
+
+    A known part of a moving vehicle, by :func:`lift_force`, is left out.
+    """
     k = problem.thrust_deviation  # the largest |kappa - 1|
     tilt_force = (1.0 + k) * GRAVITY * attitude.tilt * (attitude.secant - 1.0)  # of beta - b
     force = tilt_force + k * attitude.achieved_lift * attitude.tangent  # k Q t
@@ -105,7 +108,7 @@ def plane_force(problem: VehicleProblem, attitude: Attitude, drag: DragBounds, c
 def lift_force(attitude: Attitude, couplings: Couplings | None) -> float:
     """Bound of |q beta|, the horizontal force over mass of the lift q on a tilted vehicle [m/s^2].
 
-    Of a moving vehicle it is |q beta - z_m'' alpha_0/g|, without the known part.
+    For a moving vehicle the known part is subtracted: the result bounds |q beta - z_m'' alpha_0/g|.
     """
     if couplings is None:
         return attitude.achieved_lift * attitude.tangent  # Q t
@@ -116,10 +119,20 @@ def lift_force(attitude: Attitude, couplings: Couplings | None) -> float:
 def lag_remainders(
     problem: VehicleProblem, bounds: Signals, attitude: Attitude, moments: Moments, rotors: Rotors
 ) -> dict[str, float]:
-    """x.lag, z.lag and psi.lag: what the derivatives of gamma, q and gamma_psi have besides those of a linear lag.
+    """x.lag, z.lag and psi.lag, bounds of the differences of the derivatives of gamma, q and gamma_psi from a lag's.
 
-    The speeds of the rotors have the lag, whereas the channels have a lag of the thrusts: ``rotors.defect`` is zeta,
-    the bound of what that makes of a thrust's derivative.
+    The speeds of the rotors have the lag, whereas the linear channels have a lag of the thrusts. ``rotors.defect`` is
+    zeta, a bound of the difference that this makes in the derivative of a thrust.
+
+    Args:
+        problem: The vehicle, with a rotor lag.
+        bounds: Bounds of the vehicle's signals.
+        attitude: Bounds of the attitude.
+        moments: Bounds of the difference of the commanded angular acceleration from that of the linear channels.
+        rotors: Bounds of the rotors.
+
+    Returns:
+        The bounds [m/s^3; rad/s^3 in psi], by channel.
     """
     j_x, j_y, j_z = problem.believed_inertia
     n = problem.rotors
@@ -134,9 +147,9 @@ def lag_remainders(
 
 
 def turn_of_plane(attitude: Attitude, yaw_acceleration: float) -> float:
-    """Bound of the part of b'', of the tilt vector b, that arises because the yaw psi turns the plane of b [rad/s^2].
+    """Bound of the part of b'' that the turn of the plane by yaw causes, where b is the tilt as a vector [rad/s^2].
 
-    The part is psi'' K b + 2 psi' K b' + psi'^2 b, with K a quarter turn in that plane.
+    The part is psi'' K b + 2 psi' K b' + psi'^2 b, with K a quarter turn in the plane.
 
     Args:
         attitude: Bounds of |b|, |b'| and |psi'|: ``tilt``, ``tilt_rate`` and ``yaw_rate``.
@@ -150,7 +163,14 @@ def turn_of_plane(attitude: Attitude, yaw_acceleration: float) -> float:
 def coupled_torque(problem: VehicleProblem, bounds: Signals, attitude: Attitude, couplings: Couplings | None) -> float:
     """Bound of |a_0 g (b_d - a_h/g)| + |a_1 psi' K alpha| [m/s^2], without the known parts of a moving vehicle.
 
-    The first term is there because the desired tilt b_d is not linear, the second because the plane turns.
+    The first term comes from the nonlinear law of the desired tilt b_d, the second from the turn of the plane by yaw,
+    where K is a quarter turn.
+
+    Args:
+        problem: The vehicle.
+        bounds: Bounds of the vehicle's signals, used with couplings only.
+        attitude: Bounds of the attitude.
+        couplings: Bounds of the couplings; None: the vehicle hovers.
     """
     a_0 = problem.stiffness
     a_1 = problem.damping
@@ -167,9 +187,17 @@ def coupled_torque(problem: VehicleProblem, bounds: Signals, attitude: Attitude,
 def torques_without_lag(
     problem: VehicleProblem, bounds: Signals, attitude: Attitude, drag: DragBounds, couplings: Couplings | None
 ) -> Torques:
-    """Bound the torques without a rotor lag.
+    """Bound x.torque and psi.torque without a rotor lag.
 
-    m_h and m_z bound how far the body's angular acceleration is from the wanted one, across and along body z [rad/s^2].
+    m_h and m_z bound the difference of the body's angular acceleration from the wanted one, across and along body z
+    [rad/s^2].
+
+    Args:
+        problem: The vehicle.
+        bounds: Bounds of the vehicle's signals.
+        attitude: Bounds of the attitude.
+        drag: Bounds of the drag and of its torques.
+        couplings: Bounds of the couplings; None: the vehicle hovers.
     """
     delta = problem.turn_deviation  # the largest |nu_i - 1|
     s = attitude.tilt
@@ -190,10 +218,17 @@ def torques_without_lag(
 
 
 def torques_with_lag(problem: VehicleProblem, bounds: Signals, attitude: Attitude, drag: DragBounds) -> Torques:
-    """Bound the torques with a rotor lag.
+    """Bound x.torque and psi.torque with a rotor lag.
 
-    mu_h and mu_z bound mu, the angular acceleration that the rotors achieve as the inner loops believe. m_h and m_z
-    bound how far the body's true one is from it. Each is across and along body z [rad/s^2].
+    mu is the angular acceleration that the inner loops believe the rotors to achieve; mu_h and mu_z bound it. m_h and
+    m_z bound the difference of the body's true angular acceleration from mu. The index h stands for the part across
+    body z, the index z for the part along it [rad/s^2].
+
+    Args:
+        problem: The vehicle, with a rotor lag.
+        bounds: Bounds of the vehicle's signals.
+        attitude: Bounds of the attitude.
+        drag: Bounds of the drag and of its torques.
     """
     delta = problem.turn_deviation  # the largest |nu_i - 1|
     s = attitude.tilt

@@ -1,7 +1,7 @@
 """Responses of a sampled linear channel's signals to inputs, a constant and starts of size 1, in floating point.
 
 Signals are bounded at four points of a sample. The inputs are omega_u and omega_r, which are held over a sample, and
-the remainders, which may be any function of time: their effect in one sample is an integral.
+the remainders, which may be any function of time, so that their effect in a sample is an integral.
 """
 
 import math
@@ -22,7 +22,7 @@ from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 POINTS = (0.125, 0.375, 0.625, 0.875)
 """Times within a sample at which signals are bounded, in T_s; every time is within T_s/8 of one of them."""
 PIECES = 4
-"""Number of pieces of a sample in integrals by the trapezoidal rule; with a rotor lag, of each half of the lag."""
+"""Number of pieces, in integrals by the trapezoidal rule, of a sample or of half of the rotor lag's time constant."""
 MOST_PIECES = 32
 """Largest number of pieces of a sample."""
 ONE_AXIS = ("e", "e_dot", "sigma", "bend", "u_av")
@@ -45,7 +45,8 @@ class ChannelResponse:
         constant: Peak of the response to a constant force 1, shape (points, signals).
         starts: Peaks of the responses to a start with e = 1, with e' = 1 and with q_(-1) = 1, shape (points, signals,
             3).
-        start_offset: Peak of the response to the known part of z_0 less the nominal flight's, shape (points, signals).
+        start_offset: Peak of the response to the known part of z_0 less the nominal flight's z_0; 0 without a nominal
+            flight; shape (points, signals).
     """
 
     names: tuple[str, ...]
@@ -64,12 +65,12 @@ class ChannelObservation:
         step: One sample.
         names: Names of the signals.
         rows: C_s, each signal at each point as a row over z, shape (points signals, n).
-        direct: Bounds of what inputs of size 1 do in the same sample, shape (points, signals, inputs).
-        columns: Columns b_u of omega_u and b_q of omega_r; then, for each end of the pieces of a sample, those of
-            remainders that act at this time before the next sample; shape (n, 2 + (pieces + 1) remainders).
-        pieces: Number of these pieces.
-        force_column: What a constant force 1 adds to z in a sample, shape (n,).
-        force_within: What a constant force 1 does to the signals in the same sample, shape (points signals,).
+        direct: Bounds of the effects of inputs of size 1 in the same sample, shape (points, signals, inputs).
+        columns: Columns b_u of omega_u and b_q of omega_r; then, for each end of the pieces of a sample, the columns of
+            the remainders that act at this time before the next sample; shape (n, 2 + (pieces + 1) remainders).
+        pieces: Number of pieces of a sample.
+        force_column: The part of z that a constant force 1 causes in a sample, shape (n,).
+        force_within: The effect of a constant force 1 on the signals in the same sample, shape (points signals,).
     """
 
     step: SampledChannel
@@ -93,13 +94,13 @@ def pieces_of(problem: VehicleProblem) -> int:
 def observe_channel(
     problem: VehicleProblem, channel: ChannelProblem, linear: LinearChannel, lines: StraightLines
 ) -> ChannelObservation:
-    """A channel at its samples, and its signals at the points of a sample.
+    """Build a channel at its samples, with its signals at the points of a sample and the columns of its inputs.
 
     Args:
         problem: The vehicle.
         channel: The controller of the channel.
         linear: The channel between the samples.
-        lines: The straight lines in place of its functions, and the share s_q.
+        lines: The straight lines in place of the controller's functions, and the share s_q.
     """
     step = sampled_channel(problem, channel, linear, lines)
     t = problem.sample_time
@@ -144,7 +145,7 @@ def observe_channel(
 
 
 def remainder_effects(linear: LinearChannel, times: np.ndarray) -> list[np.ndarray]:
-    """What an impulse 1 of each remainder makes of chi after each of some times [s], shape (m, remainders) each."""
+    """The state chi after a unit impulse of each remainder at each of some times [s], shape (m, remainders) each."""
     columns = np.stack(list(linear.remainders.values()), axis=1)
     return [flow(linear, time).phi @ columns for time in times]
 
@@ -171,13 +172,13 @@ def channel_response(
     lines: StraightLines,
     start_offsets: np.ndarray | None,
 ) -> ChannelResponse | None:
-    """The largest responses of a channel's signals; None if it is not stable or they last too long.
+    """The largest responses of a channel's signals; None if the channel is not stable or they last too long.
 
     Args:
         problem: The vehicle.
         channel: The controller of the channel.
         linear: The channel between the samples.
-        lines: The straight lines in place of its functions, and the share s_q.
+        lines: The straight lines in place of the controller's functions, and the share s_q.
         start_offsets: Known part of z_0 less the nominal flight's, shape (n, axes); None: there is none.
     """
     observation = observe_channel(problem, channel, linear, lines)
@@ -216,7 +217,7 @@ def channel_response(
 
 
 def size_over_axes(sizes: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
-    """Bounds of a channel's signals from bounds along each axis: the larger one, or the norm where it is a vector.
+    """Bounds of a channel's signals from bounds along each axis: the maximum, or the norm if the signal is a vector.
 
     Args:
         sizes: Bounds along each axis, shape (..., signals, axes).
@@ -230,13 +231,14 @@ def size_over_axes(sizes: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
 
 
 def axis_factors(name: str, response: ChannelResponse) -> np.ndarray:
-    """h, the factor of the omegas' bounds for each signal, shape (signals,).
+    """h, the factor of the bounds of omega_u and omega_r in each signal, shape (signals,).
 
-    The omegas of x and y together are at most 2^(1/2) as long as those of one axis, which matters to norms only.
+    The omegas are bounded along each axis, so their vector in the plane is up to 2^(1/2) times as long. So h is 2^(1/2)
+    for signals that are norms of the plane, otherwise 1.
 
     Args:
         name: Name of the channel.
-        response: Its responses.
+        response: The channel's responses, which state the names of the signals.
     """
     is_norm = [name == "x" and key not in ONE_AXIS for key in response.names]
     return np.where(is_norm, math.sqrt(2.0), 1.0)
@@ -247,7 +249,7 @@ class ChannelSeries:
     """Responses of a channel's signals sample by sample. A row is one point of a sample and one signal.
 
     Args:
-        effects: eps_l, bounds of what inputs of size 1 in a sample cause l samples later, shape (samples, rows,
+        effects: eps_l, bounds of the effects of inputs of size 1 in a sample l samples later, shape (samples, rows,
             inputs).
         constant: Response to a constant force 1 from t = 0 on, shape (samples, rows).
         starts: Responses to a start with e = 1, with e' = 1 and with q_(-1) = 1, shape (samples, rows, 3).
@@ -275,7 +277,7 @@ def channel_series(
         problem: The vehicle.
         channel: The controller of the channel.
         linear: The channel between the samples.
-        lines: The straight lines in place of its functions, and the share s_q.
+        lines: The straight lines in place of the controller's functions, and the share s_q.
         length: Number of samples.
         start_offsets: Known part of z_0 less the nominal flight's, shape (n, axes); None: there is none.
     """
@@ -306,12 +308,12 @@ def channel_series(
 
 
 def trapezoid(values: list[np.ndarray]) -> np.ndarray:
-    """The mean of equally spaced values by the trapezoidal rule."""
+    """The mean of a function over an interval by the trapezoidal rule, from its values at equally spaced points."""
     return (0.5 * (values[0] + values[-1]) + sum(values[1:-1])) / (len(values) - 1)
 
 
 def forced_response(linear: LinearChannel, column: np.ndarray, time: float) -> np.ndarray:
-    """What a constant input 1 through a column adds to chi within a time [s], shape (m,)."""
+    """The part of chi that a constant input 1 through a column, shape (m,), causes within a time [s], shape (m,)."""
     driven = replace(linear, control=column)  # the column in place of the command's
     return flow(driven, time).gamma
 
@@ -319,7 +321,13 @@ def forced_response(linear: LinearChannel, column: np.ndarray, time: float) -> n
 def start_columns(problem: VehicleProblem, channel: ChannelProblem, n: int, lines: StraightLines) -> list[np.ndarray]:
     """z_0 for a start with e = 1, for one with e' = 1 and for one with q_(-1) = 1, shape (n,) each.
 
-    With straight lines q_(-1) is a share of sigma_0 = e' + l_0 e, so that the first two have a q_(-1), too.
+    With straight lines q_(-1) is a multiple of sigma_0 = e' + l_0 e, so that the first two starts have a q_(-1), too.
+
+    Args:
+        problem: The vehicle.
+        channel: The controller of the channel.
+        n: Length of z.
+        lines: The straight lines in place of the controller's functions.
     """
     share = start_share(problem, channel, lines)
     e, e_dot, *_, q = np.eye(n)
@@ -327,17 +335,17 @@ def start_columns(problem: VehicleProblem, channel: ChannelProblem, n: int, line
 
 
 def start_share(problem: VehicleProblem, channel: ChannelProblem, lines: StraightLines) -> float:
-    """-q_(-1)/sigma_0, the share of sigma_0 in the sum before the first sample, with straight lines for functions.
+    """-q_(-1)/sigma_0, where q_(-1) is the sum before the first sample, with straight lines for the functions.
 
-    q_(-1) is 0 for the start ``zero``, -phi_1(sigma_0) for ``matched``, and (T_s/2) phi_2(sigma_0) less for
-    ``midpoint``.
+    q_(-1) is 0 for the start ``zero`` and -phi_1(sigma_0) for ``matched``; for ``midpoint`` it is lower than the latter
+    by (T_s/2) phi_2(sigma_0).
     """
     midpoint_share = lines.k_1 + 0.5 * problem.sample_time * lines.k_2
     return {"zero": 0.0, "matched": lines.k_1, "midpoint": midpoint_share}[channel.start]
 
 
 def largest_values(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """The largest |offset + row A^k z| over all samples k, for each row, shape (rows,).
+    """The largest |offset + row A^k z| for each row, over the samples k until z has settled, shape (rows,).
 
     Args:
         a: A, shape (n, n).

@@ -1,6 +1,6 @@
-"""Bounds of the rotors' thrusts and speeds, and of how far a lag keeps them behind their commands, in floating point.
+"""Bounds of the rotors' thrusts and speeds, and of their differences from their commands by a lag, in floating point.
 
-docs/vehicle_proofs.md has the formulas, by the symbols that stand beside each line here.
+docs/vehicle_proofs.md has the formulas; comments here give the symbols.
 """
 
 import math
@@ -18,16 +18,17 @@ LEAST_ROTORS = 4
 
 @dataclass(frozen=True)
 class Rotors:
-    """Bounds of the rotors in a time cell; with a lag, thrusts of the cells before still count.
+    """Bounds of the rotors in a time cell; with a lag they also cover the thrusts of the cells before.
 
     Args:
         smallest: f_min, lower bound of every thrust [N].
         largest: f_max, upper bound of every thrust [N].
         spread: w_o, bound of the difference of two rotors' speeds [rad/s].
         sum: o_S, bound of the sum of the speeds [rad/s].
-        shortfall: d, bound of how far a thrust is behind its command [N]; 0 without a lag.
-        defect: zeta, bound of what a lag of the speed adds to the derivative of a thrust with a lag of its own [N/s].
-        spin_up: Bound of the signed sum of the speeds' derivatives [rad/s^2].
+        shortfall: d, bound of the difference of a thrust from its command [N]; 0 without a lag.
+        defect: zeta, bound of the difference of a thrust's derivative, where the speed has the lag, from that of a
+            thrust with the same lag [N/s]; 0 without a lag.
+        spin_up: Bound of the signed sum of the speeds' derivatives [rad/s^2]; 0 without a lag.
     """
 
     smallest: float
@@ -41,11 +42,11 @@ class Rotors:
 
 @dataclass(frozen=True)
 class Moments:
-    """Bounds of how far the commanded angular acceleration mu_c is from that of the linear channels.
+    """Bounds of the difference of the commanded angular acceleration mu_c from that of the linear channels.
 
     Args:
-        plane: r_mh, g times the part across body z [m/s^2].
-        yaw: r_mz, the part along body z [rad/s^2].
+        plane: r_mh, bound of g times the part across body z [m/s^2].
+        yaw: r_mz, bound of the part along body z [rad/s^2].
     """
 
     plane: float
@@ -87,7 +88,7 @@ def believed_factors(problem: VehicleProblem) -> GyroscopicFactors:
 
 
 def moments_of(problem: VehicleProblem, attitude: Attitude) -> Moments:
-    """Bounds r_mh and r_mz of how far the commanded angular acceleration mu_c is from m/g and from eta_psi."""
+    """Bounds of the difference of the commanded angular acceleration mu_c from m/g and eta_psi: r_mh and r_mz."""
     j_h, j_z = believed_factors(problem)
     s = attitude.tilt
     tilt_demand = attitude.tilt_demand
@@ -123,7 +124,7 @@ def rotors_of(
         problem: The vehicle.
         bounds: Bounds of the signals.
         attitude: Bounds of the attitude.
-        moments: Bounds of how far the commanded angular acceleration is from that of the linear channels.
+        moments: Bounds of the difference of the commanded angular acceleration from that of the linear channels.
         earlier: Bounds of the rotors in the time cells before; None in the first one.
 
     Raises:
@@ -162,17 +163,17 @@ def rotors_of(
 def largest_shortfall(
     problem: VehicleProblem, bounds: Signals, attitude: Attitude, moments: Moments, smallest: float
 ) -> float:
-    """d, bound of how far a thrust is behind its command with a rotor lag [N].
+    """d, bound of the difference of a thrust from its command with a rotor lag [N].
 
-    d_4, the part that belongs to net thrust and moments, follows from the signals ``behind``. With more than four
-    rotors there is a part in the null space of the allocation, too. It grows with d^2, so d is the smaller root of d =
-    d_4 + (n - 4)^(1/2) d^2/(8 f_min).
+    d_4, the part of net thrust and moments, follows from the signals ``behind``. With more than four rotors there is
+    also a part in the null space of the allocation, which grows with d^2. So d is the smaller root of d = d_4 +
+    (n - 4)^(1/2) d^2/(8 f_min).
 
     Args:
         problem: The vehicle, with a rotor lag.
         bounds: Bounds of the signals.
         attitude: Bounds of the attitude.
-        moments: Bounds of how far the commanded angular acceleration is from that of the linear channels.
+        moments: Bounds of the difference of the commanded angular acceleration from that of the linear channels.
         smallest: f_min, the smallest thrust [N].
 
     Raises:

@@ -1,6 +1,6 @@
-"""Bounds of how fast the signals change within a sample, in floating point.
+"""Bounds of the signals' derivatives within a sample, in floating point.
 
-They are the table of slopes in docs/vehicle_proofs.md: each slope follows from bounds of other signals and remainders.
+Each follows from bounds of other signals and of remainders; docs/vehicle_proofs.md has the table of these slopes.
 """
 
 from dssc_jax.proofs.search.vehicle.attitude import Signals
@@ -12,13 +12,13 @@ Bounds = dict[str, float]
 
 
 def signal_slopes(problem: VehicleProblem, bounds: Signals, remainders: Signals, damping: Damping) -> Signals:
-    """Bounds of the derivatives of all signals within a sample, by channel and name; u_av is constant there.
+    """Bounds of the derivatives of all signals within a sample, by channel and name; 0 for u_av, which is constant.
 
     Args:
         problem: The vehicle.
         bounds: Bounds of the signals.
         remainders: Bounds of the remainders.
-        damping: Damping of drag.
+        damping: Damping by drag.
     """
     slopes = {
         "x": plane_slopes(problem, bounds["x"], remainders["x"], damping.plane),
@@ -34,8 +34,8 @@ def plane_slopes(problem: VehicleProblem, bounds: Bounds, remainders: Bounds, da
     Args:
         problem: The vehicle.
         bounds: Bounds of the channel's signals.
-        remainders: Bounds of its remainders.
-        damping: c, the damping of drag [1/s].
+        remainders: Bounds of the channel's remainders.
+        damping: c, the damping by drag [1/s].
     """
     l0 = problem.channels["x"].l0
     lag = problem.rotor_lag
@@ -62,13 +62,13 @@ def plane_slopes(problem: VehicleProblem, bounds: Bounds, remainders: Bounds, da
 
 
 def vertical_slopes(problem: VehicleProblem, bounds: Bounds, remainders: Bounds, damping: float) -> Bounds:
-    """Bounds of the derivatives of the signals of z, on which a thrust other than believed acts as a constant, too.
+    """Bounds of the derivatives of the signals of z, where a wrongly believed thrust acts as a constant force o.
 
     Args:
         problem: The vehicle.
         bounds: Bounds of the channel's signals.
-        remainders: Bounds of its remainders.
-        damping: c, the damping of drag [1/s].
+        remainders: Bounds of the channel's remainders.
+        damping: c, the damping by drag [1/s].
     """
     constant = problem.thrust_deviation * GRAVITY  # |o| <= k g
     l0 = problem.channels["z"].l0
@@ -96,7 +96,7 @@ def yaw_slopes(problem: VehicleProblem, bounds: Bounds, remainders: Bounds) -> B
     Args:
         problem: The vehicle.
         bounds: Bounds of the channel's signals.
-        remainders: Bounds of its remainders.
+        remainders: Bounds of the channel's remainders.
     """
     l0 = problem.channels["psi"].l0
     lag = problem.rotor_lag

@@ -1,4 +1,4 @@
-"""Sums of sines, as a phasor X for each frequency f: the sum of Re(X e^(2 pi i f t)) over all f."""
+"""Sums of sines. A phasor X for each frequency f stands for the sum of Re(X e^(2 pi i f t)) over all f."""
 
 import math
 from fractions import Fraction
@@ -20,7 +20,7 @@ def add(waves: Waves, frequency: Fraction, phasor: complex) -> None:
 
 
 def product(left: Waves, right: Waves, factor: float) -> Waves:
-    """The product of two sums of sines and a factor: sines of the sums and differences of the frequencies.
+    """The product of two sums of sines and a number: sines of the sums and of the differences of the frequencies.
 
     Re(a e^(i w t)) Re(b e^(i v t)) is half of Re(a b e^(i (w + v) t)) + Re(a conj(b) e^(i (w - v) t)).
     """
@@ -47,7 +47,7 @@ def angular_frequency(frequency: Fraction) -> float:
 
 
 def derivative(waves: Waves) -> Waves:
-    """The derivative of a sum of sines in time."""
+    """The derivative of a sum of sines with respect to time."""
     return {frequency: 1j * angular_frequency(frequency) * phasor for frequency, phasor in waves.items()}
 
 

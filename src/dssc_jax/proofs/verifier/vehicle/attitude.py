@@ -1,6 +1,6 @@
 """(V3) Bounds of the tilt, its rates and the lift of a vehicle, from bounds of its signals.
 
-docs/vehicle_proofs.md has the formulas, by the symbols that stand beside each line here. Every bound is rounded up.
+docs/vehicle_proofs.md has the formulas; comments here give the symbols. Every bound is rounded up.
 """
 
 from typing import NamedTuple
@@ -14,17 +14,17 @@ from dssc_jax.proofs.verifier.vehicle.ranges import Ranges
 
 
 class Attitude(NamedTuple):
-    """Upper bounds of how far the vehicle tilts and turns, and how fast.
+    """Upper bounds of the vehicle's tilt, its rates and its lift.
 
     Args:
-        tilt: beta, bound of the tilt [rad]; it bounds the tilt's sine, too, and is called s then.
+        tilt: beta, bound of the tilt [rad]. It also bounds the tilt's sine, and is then called s.
         tangent: t, bound of the tilt's tangent.
         secant: S, bound of the inverse of the tilt's cosine.
         tilt_rate: beta_1, bound of |b'|, where b is the tilt as a vector of the horizontal plane [rad/s].
         yaw_rate: psi_1, bound of |psi'| [rad/s].
         lift: A_z, bound of the wanted vertical acceleration [m/s^2].
         achieved_lift: Q, bound of the vertical acceleration that the rotors achieve [m/s^2]; A_z without a rotor lag.
-        tilt_defect: r_2, bound of |b_d - a_h/g|: how far the desired tilt is from the linear law [rad].
+        tilt_defect: r_2, bound of |b_d - a_h/g|, the deviation of the desired tilt from the linear law [rad].
         euler_rate: T, bound of |(phi', theta')| [rad/s].
         tilt_demand: H, bound of |(eta_phi, eta_theta)|, the wanted second derivative of roll and pitch [rad/s^2].
         yaw_demand: H_psi, bound of |eta_psi|, the wanted second derivative of yaw [rad/s^2].
@@ -58,7 +58,7 @@ def attitude_of(problem: VehicleProblem, ranges: Ranges, bounds: SignalBalls) ->
 
     Args:
         problem: The certificate's problem.
-        ranges: Numbers that follow from its intervals.
+        ranges: Extremes over the problem's intervals.
         bounds: Bounds of the vehicle's signals, by channel and name.
 
     Raises:

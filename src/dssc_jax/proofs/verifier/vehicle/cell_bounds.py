@@ -1,6 +1,7 @@
-"""The map F in time cells, from bounds of all signals in every cell to the bounds that follow from them there.
+"""The map F in time cells: from bounds of all signals in every cell to the bounds that follow in every cell.
 
-Cell 0 begins at t = 0; the last cell is all the time after the others. docs/vehicle_proofs.md has the definitions.
+Cell 0 begins at t = 0; the last cell contains all the time after the others. docs/vehicle_proofs.md has the
+definitions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -45,19 +46,28 @@ def bounds_in_cells(proof: VehicleProof) -> list[SignalBalls]:
 
 
 def number_of_cells(cells: CellsProof) -> int:
-    """J, the number of time cells before the last one: that of the bounds of any signal."""
+    """J, the number of time cells before the last one; every signal has as many bounds."""
     return len(cells["bounds"]["x"]["e"])
 
 
 def cell_place(j: int, count: int) -> str:
-    """The words for cell j of ``count`` at the end of a message; empty if there is only one cell."""
+    """The end of a message that names cell j; empty if there is only one cell.
+
+    Args:
+        j: Number of the cell.
+        count: Number of all cells, including the last one.
+    """
     if count == 1:
         return ""
     return " in the last cell" if j == count - 1 else f" in cell {j}"
 
 
 def inputs_in_cells(vehicle: Vehicle, bounds: Sequence[SignalBalls]) -> list[Inputs]:
-    """(V2, V3) Bounds of the inputs in each time cell, while the signals are within their bounds there.
+    """(V2, V3) Bounds of the inputs in each time cell, if in every cell the signals stay within the cell's bounds.
+
+    Args:
+        vehicle: The linear channels and their responses.
+        bounds: Y_j, bounds of the signals in each cell, or of their deviation from the nominal flight.
 
     Raises:
         Rejected: The vehicle may leave the range of the theorem in a cell, which the message names.
@@ -80,7 +90,15 @@ def inputs_in_cells(vehicle: Vehicle, bounds: Sequence[SignalBalls]) -> list[Inp
 
 
 def responses_in_cells(vehicle: Vehicle, cells: CellsProof | None) -> dict[str, CellResponses]:
-    """The responses of each channel in the time cells of a proof, by channel; empty if it has no cells."""
+    """The responses of each channel in the time cells of a proof, by channel.
+
+    Args:
+        vehicle: The linear channels and their responses.
+        cells: The time cells; None: the proof has none, and the result is empty.
+
+    Raises:
+        Rejected: The responses of a channel decay too slowly.
+    """
     if cells is None:
         return {}
     count = number_of_cells(cells)
@@ -96,7 +114,7 @@ def implied_in_cells(
     inputs: Sequence[Inputs],
     responses: Mapping[str, CellResponses],
 ) -> list[dict[str, Balls]]:
-    """F in each time cell: the bounds that follow from bounds of the signals, by channel and signal.
+    """F in each time cell: the bounds that follow from Y_j, by channel and signal.
 
     Args:
         vehicle: The linear channels and their responses.
@@ -119,7 +137,7 @@ def bounds_at_phases(
 ) -> np.ndarray:
     """The bounds of a channel's signals at the phases of a sample, in each time cell, shape (J + 1, rows).
 
-    They are the sum of the responses to the start, to the constant, and to the inputs of the cell and those before.
+    A bound is the sum of the responses to the start, to the constant, and to the inputs in this and all earlier cells.
 
     Args:
         vehicle: The linear channels and their responses.
@@ -142,15 +160,18 @@ def bounds_at_phases(
 
 
 def effects_of(responses: CellResponses, sizes: np.ndarray, is_last: bool) -> np.ndarray:
-    """Bounds of what the inputs in the time cells 0 to j do to a channel's signals in cell j, shape (rows, inputs).
+    """Bounds of the effects of the inputs in the time cells 0 to j on a channel's signals in cell j.
 
-    The input of cell 0 acts from t = 0 on; its change from cell to cell acts from that cell on. A rise counts with an
-    upper bound of the sum of effects, a fall with a lower bound.
+    The input's bound of cell 0 acts from t = 0 on. Each change of the bound between two cells acts from the later cell
+    on: a rise is multiplied by an upper bound of the sum of effects, a fall by a lower bound.
 
     Args:
         responses: Responses of the channel in the cells.
         sizes: Bounds of the inputs in the cells 0 to j, shape (j + 1, inputs).
         is_last: Whether j is the last cell, which has all later samples.
+
+    Returns:
+        Shape (rows, inputs).
     """
     j = len(sizes) - 1
     first = sizes[0]
@@ -167,12 +188,12 @@ def effects_of(responses: CellResponses, sizes: np.ndarray, is_last: bool) -> np
 
 
 def input_sizes(name: str, inputs: Inputs, remainders: Sequence[str]) -> list[float]:
-    """Bounds of a channel's inputs omega_u and omega_r along one axis and of its remainders, in this order, rounded up.
+    """Bounds of a channel's inputs, rounded up: of omega_u and omega_r along one axis, then of the remainders.
 
     Args:
         name: Name of the channel.
-        inputs: Bounds of the inputs.
-        remainders: Names of the remainders.
+        inputs: Bounds of the inputs in a time cell.
+        remainders: Names of the channel's remainders, in the order of the result.
     """
     deviations = inputs.deviations[name]
     sigma = inputs.sigma[name]
@@ -185,6 +206,8 @@ def with_slopes(
     vehicle: Vehicle, name: str, bounds: SignalBalls, inputs: Inputs, signals: Sequence[str], phase_bounds: np.ndarray
 ) -> Balls:
     """F of a channel's signals in a time cell, by name: the largest bound at the phases, plus T_s/8 times the slope.
+
+    Every time is within T_s/8 of a phase. Only u_av has no slope, since it exists at the samples only.
 
     Args:
         vehicle: The linear channels and their responses.
@@ -219,7 +242,7 @@ def largest_bounds(bounds: Sequence[SignalBalls]) -> dict[str, Balls]:
 
 
 def largest_inputs(inputs: Sequence[Inputs]) -> Inputs:
-    """The largest deviations, remainders, tilt and |sigma|, and the extreme thrusts, over the time cells."""
+    """Merge the inputs of all time cells into one: the smallest ``rotors.smallest``, and the largest of all others."""
     remainders = [cell.remainders for cell in inputs]
     largest_remainders = Remainders(
         channels=largest_bounds([cell.channels for cell in remainders]),

@@ -1,7 +1,7 @@
-"""Bounds of what the inputs of a time cell do in each later cell; docs/vehicle_proofs.md has the definitions.
+"""Bounds of the effects of a time cell's inputs in each later cell; docs/vehicle_proofs.md has the definitions.
 
-eps_l bounds what an input 1 in one sample does to a signal l samples later, and G_l is the sum of eps_0 to eps_l. All
-sums are taken in float64, from samples with bounds of their errors. The terms are not negative, so that the factor
+eps_l bounds the effect of an input 1 in one sample on a signal l samples later, and G_l is the sum of eps_0 to eps_l.
+All sums are taken in float64, from samples with bounds of their errors. The terms are not negative, so that the factor
 ``SUMMED`` covers the rounding of a sum.
 """
 
@@ -28,7 +28,7 @@ from dssc_jax.proofs.verifier.vehicle.responses import FIRST_OFFSET, ChannelObse
 OMEGAS = 2
 """Number of the inputs omega_u and omega_r, which stand before the remainders."""
 SMALL = 1e-6
-"""Share of a response's peak below which what is left of it ends the computation."""
+"""Share of a response's peak below which the rest of the response is negligible, and the computation may end."""
 
 
 class CellResponses(NamedTuple):
@@ -39,13 +39,13 @@ class CellResponses(NamedTuple):
     Args:
         signals: Name of the signal of each row.
         remainders: Names of the inputs after omega_u and omega_r.
-        upper: Entry m is an upper bound of G at the last sample of the cell m cells later, G_(c m + c - 1), for m < J;
-            shape (J, rows, inputs).
-        lower: Entry m is a lower bound of G before the first sample of that cell, G_(c m - 1), or eps_0 for m = 0;
-            shape (J, rows, inputs).
+        upper: Entry m < J is an upper bound of G at the last sample of the cell m cells after the input's,
+            G_(c m + c - 1); shape (J, rows, inputs).
+        lower: Entry m < J is a lower bound of G at the last sample before the same cell, G_(c m - 1), or of eps_0 for
+            m = 0; shape (J, rows, inputs).
         total_sum: Upper bound of the limit of G_l, shape (rows, inputs).
-        starts: The largest response in each cell to a start within E_0 and V_0, with its known offset from the nominal
-            flight; shape (J + 1, rows).
+        starts: The largest response in each cell to a start within E_0 and V_0, including the start's known offset from
+            the nominal flight; shape (J + 1, rows).
         deviations: The largest response in each cell to a deviation 1 of q_(-1), shape (J + 1, rows).
         constants: The largest response in each cell to a constant 1 from t = 0 on, shape (J + 1, rows).
     """
@@ -68,7 +68,7 @@ def cell_responses(
     Args:
         problem: The certificate's problem.
         name: Name of the channel.
-        observation: Its signals and inputs at the samples.
+        observation: The channel's signals and inputs at the samples.
         samples: c, number of samples of a cell.
         count: J, number of cells before the last one, at least 1.
 
@@ -124,9 +124,10 @@ def cell_responses(
 
 
 def negligible_responses(peaks: np.ndarray) -> np.ndarray:
-    """Sizes below which what is left of the responses to start and constant hardly matters, shape (rows, 3).
+    """Sizes below which the rest of the responses to start, deviation and constant may end them, shape (rows, 3).
 
-    Of the start and of q_(-1)'s deviation it is also what they have reached in the last cell anyway.
+    The responses to the start and to a deviation of q_(-1) may also end once their rest is below their own peak in the
+    last cell, which it then cannot raise.
 
     Args:
         peaks: Largest responses so far in each cell, shape (J + 1, rows, 3).
@@ -137,13 +138,16 @@ def negligible_responses(peaks: np.ndarray) -> np.ndarray:
 
 
 def start_responses(sizes: np.ndarray, initial: np.ndarray, is_along_axes: np.ndarray) -> np.ndarray:
-    """Responses to the start, to a deviation of q_(-1) and to the constant, shape (..., rows, 3).
+    """Combine responses to the columns of the starts: to the whole start, to a deviation of q_(-1), to the constant.
 
     Args:
         sizes: Magnitudes of the responses to each column of the starts, shape (..., rows, 4 + axes).
         initial: E_0 and V_0.
-        is_along_axes: Whether each signal is bounded along each axis, so that the larger one of its known offsets
-            counts; else their norm. Shape (rows,).
+        is_along_axes: Whether the signal of a row is bounded along each axis, shape (rows,). If so, the larger of its
+            known offsets counts; otherwise their norm does.
+
+    Returns:
+        Shape (..., rows, 3).
     """
     by_error = sizes[..., :2] @ initial
     by_q = sizes[..., 2]
@@ -154,10 +158,10 @@ def start_responses(sizes: np.ndarray, initial: np.ndarray, is_along_axes: np.nd
 
 
 class CellPlaces(NamedTuple):
-    """The cells in which some successive samples lie.
+    """The time cells in which the samples of a block lie.
 
     Args:
-        cells: Numbers of the cells, shape (cells,).
+        cells: Numbers of the cells, in rising order, shape (cells,).
         first_places: Place of each cell's first sample among the samples, shape (cells,).
     """
 
@@ -166,11 +170,11 @@ class CellPlaces(NamedTuple):
 
 
 def cells_of(earlier_count: int, length: int, samples: int, count: int) -> CellPlaces:
-    """The cells in which some successive samples lie.
+    """Find the time cells in which the samples of a block lie.
 
     Args:
-        earlier_count: Number of samples before these.
-        length: Number of the samples.
+        earlier_count: Number of samples before the block.
+        length: Number of samples of the block.
         samples: Number of samples of a cell.
         count: Number of cells before the last one, which has all later samples.
     """
@@ -180,10 +184,10 @@ def cells_of(earlier_count: int, length: int, samples: int, count: int) -> CellP
 
 
 def input_weights(observation: ChannelObservation, t: arb) -> np.ndarray:
-    """Weights with which the effects of the columns of ``observation.inputs`` make up those of the inputs, rounded up.
+    """Weights that turn the effects of the columns of ``observation.inputs`` into those of the inputs, rounded up.
 
-    The integral of |row e^(A_c r) b| over a sample is at most that of straight lines between the points, by the
-    trapezoidal rule, plus that of the bend.
+    omega_u and omega_r have a column each. A remainder acts by the integral of |row e^(A_c r) b| over a sample, which
+    is at most the trapezoidal rule over the column's points plus the share of the column's second derivative.
 
     Args:
         observation: The channel's signals and inputs at the samples.
@@ -210,7 +214,7 @@ def input_weights(observation: ChannelObservation, t: arb) -> np.ndarray:
 
 
 def direct_effects(observation: ChannelObservation, t: arb) -> np.ndarray:
-    """eps_0, what inputs of size 1 do to the signals in the same sample, rounded up, shape (rows, inputs)."""
+    """eps_0, bounds of the effects of inputs of size 1 on the signals in the same sample, shape (rows, inputs)."""
     rows = []
     for phase_signal in observation.phase_signals:
         within = [integral_within(observation.channel, phase_signal, curve) for curve in observation.curves.values()]

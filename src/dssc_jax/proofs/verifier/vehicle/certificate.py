@@ -59,7 +59,7 @@ class VehicleProblem(TypedDict):
 
 
 class MiddleProof(TypedDict):
-    """The linear channel of a proof."""
+    """The linear channel of a proof, with straight lines in place of the controller's functions."""
 
     slopes: Sequence[float]  # k_1, k_2 and k_3 of the straight lines in place of phi_1, phi_2 and phi_3
     share: float  # s_q, the share of omega_u in omega_q
@@ -75,7 +75,7 @@ class ChannelProof(MiddleProof):
 
 
 class CellsProof(TypedDict):
-    """The time cells of a proof before the last one."""
+    """The time cells of a proof before the last one, with bounds of the signals in each."""
 
     samples: int  # c, number of samples of a cell
     bounds: Mapping[str, Mapping[str, Sequence[float]]]  # Y_0 to Y_(J-1), by channel and signal

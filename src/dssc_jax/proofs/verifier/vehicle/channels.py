@@ -1,8 +1,8 @@
 """The linear channels of a vehicle: between the samples, and at the samples with the controller, in balls.
 
-Near hover the vehicle is nearly three linear channels, x (and y), z and psi, that do not depend on each other. Between
-the samples chi' = A_c chi + B_c U + sum of b_j r_j, with the acting command U and the remainders r_j. Each signal is a
-row over (chi, U). At the samples the state is z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)).
+Near hover the vehicle behaves like three independent linear channels, x (and y), z and psi; the remainders r_j are the
+differences from them. Between the samples chi' = A_c chi + B_c U + sum of b_j r_j, with the acting command U. Each
+signal is a row over (chi, U). At the samples the state is z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)).
 """
 
 import math
@@ -54,12 +54,12 @@ class Channel(NamedTuple):
 class SampledChannel(NamedTuple):
     """A channel with its controller at the samples, z+ = A z + b_u omega_u + b_q omega_r.
 
-    omega_u and omega_q are what the functions deviate by from straight lines, in the command and in the sum q; omega_q
-    = s_q omega_u + omega_r.
+    omega_u and omega_q are the deviations of the functions from straight lines, in the command and in the sum q. They
+    are related by omega_q = s_q omega_u + omega_r.
 
     Args:
         a: A, shape (m, m).
-        by_command: b_u, with the share s_q of b_q, shape (m, 1).
+        by_command: b_u, which includes s_q b_q, shape (m, 1).
         by_integral: b_q, shape (m, 1).
         acting: The acting command U as a row over z, without the omegas of the same sample, shape (1, m).
         fresh: Share of this sample's command u_k in U; 1 without a delay.
@@ -77,7 +77,12 @@ class SampledChannel(NamedTuple):
 
 
 def signal_names(name: str, *, lagging: bool) -> set[str]:
-    """Names of the signals of a channel; ``lagging`` tells whether the rotors have a lag."""
+    """Names of the signals of a channel.
+
+    Args:
+        name: Name of the channel, ``x``, ``z`` or ``psi``.
+        lagging: Whether the rotors have a lag, which adds signals.
+    """
     names = {"e", "e_dot", "sigma", "wanted", "bend", EQUIVALENT}
     match name:
         case "x":
@@ -93,7 +98,12 @@ def signal_names(name: str, *, lagging: bool) -> set[str]:
 
 
 def size_over_axes(signal: str, axes: Sequence[arb]) -> arb:
-    """A bound of a signal from bounds along each axis: the larger one, or the norm where the signal is a vector."""
+    """A bound of a signal from bounds along each axis: their maximum, or their norm if the signal is a vector.
+
+    Args:
+        signal: Name of the signal; those in :data:`ALONG_AXES` are no vectors.
+        axes: Bounds along the axes of the channel; none gives 0.
+    """
     if not axes:
         return arb(0)
     if len(axes) == 1 or signal in ALONG_AXES:
@@ -102,7 +112,13 @@ def size_over_axes(signal: str, axes: Sequence[arb]) -> arb:
 
 
 def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
-    """The linear channel of a name, ``x``, ``z`` or ``psi``, with the damping of drag c [1/s]."""
+    """Build one of the three linear channels.
+
+    Args:
+        problem: The certificate's problem.
+        name: Name of the channel: ``x``, ``z`` or ``psi``.
+        damping: c, the damping by drag [1/s]; the channel psi has none.
+    """
     l0 = arb(problem["channels"][name]["l0"])
     match name:
         case "x":
@@ -116,8 +132,8 @@ def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
 def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
     """The channel of x and y: e'' = alpha - c e' + r_force and alpha'' = m + r_torque, where alpha is g times the tilt.
 
-    m = a_0 (a_h - alpha) - a_1 alpha', and chi = (e, e', alpha, alpha'). With a rotor lag chi has gamma besides,
-    alpha'' = gamma + r_torque and gamma' = (m - gamma)/tau + r_lag.
+    m = a_0 (a_h - alpha) - a_1 alpha' with the wanted acceleration a_h, and chi = (e, e', alpha, alpha'). A rotor lag
+    adds the state gamma, with alpha'' = gamma + r_torque and gamma' = (m - gamma)/tau + r_lag.
 
     Args:
         problem: The certificate's problem.
@@ -142,8 +158,8 @@ def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
 def vertical_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
     """The channel of z: e'' = a_z - c e' + o + r_force with the wanted acceleration a_z; chi = (e, e').
 
-    With a rotor lag chi has besides q, the lift that the rotors achieve: e'' = q - c e' + o + r_force and q' = (a_z -
-    q)/tau + r_lag. The constant o acts like the force.
+    A rotor lag adds the state q, the lift that the rotors achieve, with e'' = q - c e' + o + r_force and q' = (a_z -
+    q)/tau + r_lag. The constant o enters where r_force does.
 
     Args:
         problem: The certificate's problem.
@@ -168,7 +184,7 @@ def vertical_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
 def yaw_channel(problem: VehicleProblem, l0: arb) -> Channel:
     """The channel of psi: psi'' = eta_psi + r_torque with eta_psi = k_y (U - psi') + i_y I and I' = U - psi'.
 
-    chi = (e, psi', I). With a rotor lag chi has gamma_psi besides, psi'' = gamma_psi + r_torque and gamma_psi' =
+    chi = (e, psi', I). A rotor lag adds the state gamma_psi, with psi'' = gamma_psi + r_torque and gamma_psi' =
     (eta_psi - gamma_psi)/tau + r_lag.
 
     Args:
@@ -194,31 +210,43 @@ def rotor_rate(problem: VehicleProblem) -> arb | None:
 
 
 def kinematics(e: arb_mat, e_dot: arb_mat, l0: arb) -> Rows:
-    """The rows of e, e' and sigma = e' + l_0 e, which the controller measures, by name."""
+    """The rows of e, e' and sigma = e' + l_0 e, the signals that the controller measures, by name.
+
+    Args:
+        e: Row of e.
+        e_dot: Row of e'.
+        l0: Error pole l_0 [1/s].
+    """
     return {"e": e, "e_dot": e_dot, "sigma": e_dot + e * l0}
 
 
 def input_columns(order: int, **places: int) -> dict[str, arb_mat]:
-    """Unit columns of the remainders, by name, shape (order, 1) each.
+    """The columns b_j of the remainders, each a unit column, by name, shape (order, 1) each.
 
     Args:
         order: Number of states chi.
-        places: For each remainder, the place of the state to whose derivative it adds.
+        places: For each remainder, by name, the place of the state to whose derivative the remainder adds.
     """
     units = identity(order).tolist()
     return {name: arb_mat([units[place]]).transpose() for name, place in places.items()}
 
 
 def flow(channel: Channel, time: arb) -> arb_mat:
-    """exp([[A_c, B_c], [0, 0]] time), which takes (chi, U) over a time [s] with U held; shape (n + 1, n + 1)."""
+    """exp([[A_c, B_c], [0, 0]] time), which moves (chi, U) on by a time [s] while U is held; shape (n + 1, n + 1)."""
     n = channel.order
     return (stack([channel.generator, arb_mat(1, n + 1)]) * time).exp()
 
 
 def forced_response(channel: Channel, column: arb_mat, time: arb) -> arb_mat:
-    """What a constant input 1 through a column b adds to chi within a time [s], shape (n, 1).
+    """The part of chi that a constant input 1 through a column b causes within a time [s], shape (n, 1).
 
-    It is the integral of e^(A_c r) b over r from 0 to the time, the last column of exp([[A_c, b], [0, 0]] time).
+    It is the integral of e^(A_c r) b over r from 0 to the time, which is the last column of exp([[A_c, b], [0, 0]]
+    time).
+
+    Args:
+        channel: The linear channel.
+        column: b, shape (n, 1).
+        time: The time [s].
     """
     n = channel.order
     driven = channel._replace(generator=side_by_side(channel.dynamics, column))  # b in place of B_c
@@ -236,8 +264,8 @@ def sampled_channel(
 
     Args:
         channel: The linear channel.
-        controller: Its controller, of which l_0 and the nominal control matter.
-        proof: Its proof, with the slopes of the lines and the share s_q.
+        controller: The channel's controller, of which only l_0 and the nominal control are used.
+        proof: The channel's proof, with the slopes of the lines and the share s_q.
         sample_time: T_s [s].
         delay: Delay of the commands [samples], a real number.
     """
@@ -289,16 +317,16 @@ def first_columns(matrix: arb_mat, count: int) -> arb_mat:
 
 
 def with_zeros(row: arb_mat, n: int, m: int) -> arb_mat:
-    """The first n entries of a row, which belong to chi, extended by zeros to a row over z, shape (1, m)."""
+    """Extend the first n entries of a row, those of chi, by zeros to a row over z, shape (1, m)."""
     return arb_mat([[*row.tolist()[0][:n], *[arb(0)] * (m - n)]])
 
 
 class SignalWithin(NamedTuple):
-    """A signal within a sample.
+    """A signal at one time within a sample.
 
     Args:
         row: The signal as a row over the state z_k at the sample, shape (1, m).
-        by_fresh: Its factor of this sample's command u_k.
+        by_fresh: Factor with which this sample's command u_k enters the signal.
     """
 
     row: arb_mat

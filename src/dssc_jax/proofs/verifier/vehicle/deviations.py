@@ -1,8 +1,8 @@
 """(V2) The functions of a channel within a region: their distances from straight lines, and their largest gains.
 
-phi_1, phi_2 and phi_3 = sigma/(k_n tau_m), which the search calls n, become k_1 sigma, k_2 sigma and k_3 sigma. What
-remains are omega_u = phi_1 + phi_3 - (k_1 + k_3) sigma and omega_q = phi_2 - k_2 sigma = s_q omega_u + omega_r, with
-the share s_q.
+The straight lines k_1 sigma, k_2 sigma and k_3 sigma replace phi_1, phi_2 and phi_3 = sigma/(k_n tau_m), which the
+search calls n. The differences are omega_u = phi_1 + phi_3 - (k_1 + k_3) sigma and omega_q = phi_2 - k_2 sigma. The
+latter is written as omega_q = s_q omega_u + omega_r, with the share s_q.
 """
 
 import math
@@ -19,11 +19,11 @@ from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehiclePro
 from dssc_jax.proofs.verifier.vehicle.premises import with_premise
 
 DISTANCE_ROOM = 1e-3
-"""Largest excess over the distances at points, as a share of them."""
+"""Largest excess of a distance's bound over the distances at points, as a share of them."""
 
 
 class Deviations(NamedTuple):
-    """Upper bounds of how far a channel's functions are from straight lines over a region of |sigma|, along one axis.
+    """Upper bounds of the distances of a channel's functions from straight lines, over a region of |sigma| on one axis.
 
     Args:
         phi_1_distance: D_1 of docs/vehicle_proofs.md, bound of |phi_1 - k_1 sigma|.
@@ -48,21 +48,21 @@ class Deviations(NamedTuple):
     tau_av: arb
 
     def of_command(self, sigma: arb) -> arb:
-        """Bound of |omega_u|, what the command deviates by, for |sigma| up to ``sigma``: min(D_b, d_b |sigma|)."""
+        """Bound of |omega_u|, the command's deviation, for |sigma| up to ``sigma``: min(D_b, d_b |sigma|)."""
         return minimum_bound(self.omega_u_distance, self.omega_u_ratio * sigma)
 
     def of_integral(self, sigma: arb) -> arb:
-        """Bound of |omega_r|, what the sum q deviates by, for |sigma| up to ``sigma``: min(D_2, d_2 |sigma|)."""
+        """Bound of |omega_r|, the own deviation of the sum q, for |sigma| up to ``sigma``: min(D_2, d_2 |sigma|)."""
         return minimum_bound(self.omega_r_distance, self.omega_r_ratio * sigma)
 
     def of_start(self, start: str, sigma: arb, sample_time: arb, share: arb) -> arb:
-        """Bound of what q_(-1), the sum before the first sample, deviates by from that of straight lines.
+        """Bound of the deviation of q_(-1), the sum before the first sample, from its value with straight lines.
 
-        q_(-1) is 0 for the start ``zero``, -phi_1(sigma_0) for ``matched``, and (T_s/2) phi_2(sigma_0) less for
-        ``midpoint``, which deviates by all of omega_q.
+        q_(-1) is 0 for the start ``zero`` and -phi_1(sigma_0) for ``matched``. For ``midpoint`` it is lower by (T_s/2)
+        phi_2(sigma_0), so that its deviation contains (T_s/2) omega_q besides.
 
         Args:
-            start: Start of the predictor.
+            start: Start of the predictor: ``zero``, ``matched`` or ``midpoint``.
             sigma: Sigma_0, bound of |sigma| at t = 0.
             sample_time: T_s [s].
             share: s_q.
@@ -79,15 +79,15 @@ class Deviations(NamedTuple):
 def deviations_in_regions(
     problem: VehicleProblem, name: str, proof: MiddleProof, sigmas: Sequence[arb]
 ) -> list[Deviations]:
-    """(V2) The deviations of a channel's functions for |sigma| up to each of several bounds.
+    """(V2) The deviations of a channel's functions for |sigma| up to each of several bounds, in the bounds' order.
 
-    The pieces between one bound and the next are enclosed one by one, so that no region is enclosed twice.
+    The intervals of |sigma| between one bound and the next are enclosed one by one, so that none is enclosed twice.
 
     Args:
         problem: The certificate's problem.
         name: Name of the channel.
-        proof: Its proof, with the slopes of the lines and the share s_q.
-        sigmas: Bounds of |sigma|.
+        proof: The channel's proof, with the slopes of the lines and the share s_q.
+        sigmas: Bounds of |sigma| [m/s; rad/s in psi], in any order.
     """
     regions: dict[float, Deviations] = {}  # by their bound
     largest = None  # of all pieces so far
@@ -108,8 +108,8 @@ def deviations_of(
     Args:
         problem: The certificate's problem.
         name: Name of the channel.
-        proof: Its proof, with the slopes k_1, k_2 and k_3 of the lines and the share s_q.
-        sigma: Largest |sigma|.
+        proof: The channel's proof, with the slopes k_1, k_2 and k_3 of the lines and the share s_q.
+        sigma: Largest |sigma| [m/s; rad/s in psi].
         sigma_from: Smallest |sigma|.
 
     Raises:
@@ -150,5 +150,5 @@ def deviations_of(
 
 
 def float_above(value: arb) -> float:
-    """A number of float64 above an exact number: its rounded value, and one step more for the rounding."""
+    """A float64 number above an exact ball: the rounded value of the ball, moved up by one step."""
     return math.nextafter(float(value), math.inf)

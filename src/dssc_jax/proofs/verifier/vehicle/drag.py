@@ -1,8 +1,8 @@
-"""Bounds of the drag that the linear channels' damping leaves over, and of its torques.
+"""Bounds of the part of the drag that the linear channels' damping does not contain, and of the torques by drag.
 
-The drag over mass is -x r, where r = v - w is the vehicle's velocity v against the wind w, and the damping takes -c v
-of it. So the supremum of |-x r + c v| is taken under bounds of v and w. The factor x is between k |r|/M_+ and X(|r|) =
-k (|r|^2 + V^2)^(1/2)/M_- + x_0, where V is V_z in the plane and V_h along z.
+The drag over mass is -x r, where r = v - w is the velocity v of the vehicle relative to the wind w. The linear channels
+contain -c v. So the supremum of the rest, |-x r + c v|, is taken under bounds of v and w. The factor x is between
+k |r|/M_+ and X(|r|) = k (|r|^2 + V^2)^(1/2)/M_- + x_0, where V is V_z in the plane and V_h along z.
 """
 
 from collections.abc import Mapping
@@ -29,12 +29,12 @@ class DragRegion(NamedTuple):
     Args:
         speed: a_max, bound of |v| [m/s].
         wind: W, bound of |w| [m/s].
-        damping: c [1/s].
-        drag: k [N s^2/m^2].
-        mass_low: M_- [kg].
-        mass_high: M_+ [kg].
+        damping: c, the damping of the linear channel [1/s].
+        drag: k, the coefficient of the structure's drag [N s^2/m^2].
+        mass_low: M_-, the smallest mass [kg].
+        mass_high: M_+, the largest mass [kg].
         across: V, bound of the air's relative speed across v [m/s]: V_z in the plane, V_h along z.
-        by_rotors: x_0, the propellers' share [1/s].
+        by_rotors: x_0, the propellers' share of the factor x [1/s].
     """
 
     speed: arb
@@ -53,8 +53,8 @@ class DragBounds(NamedTuple):
     Args:
         drag_h: D_h, bound of |-x r + c v| in the plane [m/s^2].
         drag_z: D_z, bound of |-x r + c v| along z [m/s^2].
-        tilted_h: x_h, bound of what tilt and unequal rotor speeds add to the drag in the plane [m/s^2].
-        tilted_z: x_z, bound of what they add to the drag along z [m/s^2].
+        tilted_h: x_h, bound of the additional drag in the plane by tilt and unequal rotor speeds [m/s^2].
+        tilted_z: x_z, bound of the additional drag along z by tilt and unequal rotor speeds [m/s^2].
         torque_h: tau_h, bound of the torque across body z over inertia [rad/s^2].
         torque_z: tau_z, bound of the torque along body z over inertia [rad/s^2].
     """
@@ -78,16 +78,16 @@ def drag_of(
 ) -> DragBounds:
     """Bounds of the drag of structure and propellers, less the channels' damping, and of the torques on the body.
 
-    The torques are those of the propellers' drag and the gyroscopic one of the rotors.
+    The torques come from the propellers' drag and from the rotors' spin: gyroscopic, and by spinning up.
 
     Args:
         problem: The certificate's problem.
-        ranges: Numbers that follow from its intervals.
-        bounds: Bounds of the signals.
+        ranges: Extremes over the problem's intervals.
+        bounds: Bounds of the signals by which the body moves, by channel and name.
         dampings: Damping of drag c in the linear channels of x and z [1/s].
         attitude: Bounds of the attitude.
         rotors: Bounds of the rotors.
-        lag: Bounds of how far the rotors are behind their commands.
+        lag: Bounds of the rotors' lag behind their commands.
     """
     n = arb(problem["rotors"])
     k_h, k_z = map(arb, problem["structure_drag"])
@@ -128,7 +128,7 @@ def drag_of(
 
 
 def steepest(region: DragRegion, b: arb) -> arb:
-    """X(b), the largest factor x of the air's velocity r where |r| = b [m/s]; in 1/s."""
+    """X(b), the largest factor x [1/s] of the relative velocity r in the drag -x r, where |r| = b [m/s]."""
     return region.drag * (b * b + region.across * region.across).sqrt() / region.mass_low + region.by_rotors
 
 
@@ -206,7 +206,7 @@ def plane_drag(region: DragRegion) -> arb:
 
 
 def magnitudes(values: Intervals) -> Intervals:
-    """Intervals of |x| for x in intervals."""
+    """Intervals of |x| for x in each interval of an array."""
     return Intervals(
         np.where(values.low > 0.0, values.low, np.maximum(-values.high, 0.0)),
         np.maximum(np.abs(values.low), np.abs(values.high)),
@@ -214,17 +214,17 @@ def magnitudes(values: Intervals) -> Intervals:
 
 
 def at_most(values: Intervals, limit: Intervals) -> Intervals:
-    """Intervals of min(x, limit) for x in intervals."""
+    """Intervals of min(x, limit) for x in each interval of an array."""
     return Intervals(np.minimum(values.low, limit.low), np.minimum(values.high, limit.high))
 
 
 def square_roots(values: Intervals) -> Intervals:
-    """Intervals of the square roots of numbers that are at least 0."""
+    """Intervals of the square roots of numbers that are at least 0; a lower end below 0 counts as 0."""
     return outwards(np.sqrt(np.maximum(values.low, 0.0)), np.sqrt(values.high))
 
 
 def enclosing_interval(value: arb) -> Intervals:
-    """An interval of float64 that contains a ball, with room for rounding."""
+    """An interval with ends in float64 that contains a ball; it is widened for the rounding of the ends."""
     middle = np.asarray(np.float64(float(value.mid())))
     radius = np.asarray(np.float64(float(value.rad())))
     return outwards(middle - radius, middle + radius)

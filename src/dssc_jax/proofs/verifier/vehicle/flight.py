@@ -1,6 +1,6 @@
 """Bounds of a moving vehicle's own signals and couplings, from the nominal flight and bounds of the deviation from it.
 
-A vehicle that hovers has no nominal flight: its signals are their own deviation, and it has no couplings.
+A vehicle that hovers has no nominal flight: its signals equal their deviations, and it has no couplings.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ class Flight(NamedTuple):
     """Bounds of the nominal flight.
 
     Args:
-        bounds: N, bounds of its signals and differences, by channel and name.
+        bounds: N, bounds of the flight's signals and of differences of signals, by channel and name.
         lift: A_m, bound of |z_m''| [m/s^2].
         yaw: Psi_m, bound of |psi_m'| [rad/s].
     """
@@ -30,7 +30,7 @@ class Flight(NamedTuple):
 
 
 class Coupling(NamedTuple):
-    """Bounds of how far a moving vehicle is from what its reference needs, by which its channels are coupled.
+    """Bounds of a moving vehicle's distances from the motion that its reference needs; they couple the channels.
 
     alpha_0 = y_m'' + c y_m' is the alpha that the reference needs in the plane.
 
@@ -56,7 +56,7 @@ def flight_of(problem: VehicleProblem, channels: Mapping[str, Balls]) -> Flight 
 
     Args:
         problem: The certificate's problem.
-        channels: Bounds of the flight's signals and differences, by channel.
+        channels: N, bounds of the flight's signals and of differences of signals, by channel and name.
     """
     sines = problem["reference"]
     if sines is None:
@@ -67,11 +67,11 @@ def flight_of(problem: VehicleProblem, channels: Mapping[str, Balls]) -> Flight 
 
 
 def total_bounds(flight: Flight | None, bounds: SignalBalls) -> SignalBalls:
-    """Bounds N + Y of the vehicle's own signals.
+    """Bounds N + Y of the vehicle's own signals, by channel and signal.
 
     Args:
         flight: The nominal flight, whose signals are at most N; None: the vehicle hovers, and N = 0.
-        bounds: Y, bounds of the vehicle's deviation from it, by channel and signal.
+        bounds: Y, bounds of the vehicle's deviation from the nominal flight, by channel and signal.
     """
     if flight is None:
         return bounds
@@ -83,10 +83,13 @@ def total_bounds(flight: Flight | None, bounds: SignalBalls) -> SignalBalls:
 
 
 def body_bounds(flight: Flight | None, bounds: SignalBalls) -> SignalBalls:
-    """Bounds N + Y of the signals by which the vehicle's body moves, as the remainders take them.
+    """Bounds N + Y of the signals as the remainders need them: those of the body's own motion.
 
-    In z and psi, ``e_dot`` is the vertical speed and the yaw rate themselves in place of the errors' rates. The
-    arguments are those of :func:`total_bounds`.
+    In z and psi, ``e_dot`` bounds the vertical speed and the yaw rate themselves, in place of the rates of the errors.
+
+    Args:
+        flight: The nominal flight; None: the vehicle hovers.
+        bounds: Y, bounds of the vehicle's deviation from the nominal flight, by channel and signal.
     """
     totals = dict(total_bounds(flight, bounds))
     if flight is not None:
@@ -97,9 +100,11 @@ def body_bounds(flight: Flight | None, bounds: SignalBalls) -> SignalBalls:
 
 
 def coupling_under(flight: Flight | None, bounds: SignalBalls) -> Coupling | None:
-    """Bounds of how far the vehicle is from what its reference needs; None if it hovers.
+    """Bounds of the vehicle's distances from the motion that its reference needs; None if the vehicle hovers.
 
-    The arguments are those of :func:`total_bounds`.
+    Args:
+        flight: The nominal flight; None: the vehicle hovers.
+        bounds: Y, bounds of the vehicle's deviation from the nominal flight, by channel and signal.
     """
     if flight is None:
         return None
@@ -114,9 +119,9 @@ def coupling_under(flight: Flight | None, bounds: SignalBalls) -> Coupling | Non
 
 
 def initial_yaw_rate(problem: VehicleProblem, name: str) -> arb:
-    """What a moving reference adds to |sigma_0| of a channel at the start: |psi_m'(0)| in psi [rad/s], else 0.
+    """The addition of a moving reference to the bound of a channel's |sigma_0|: |psi_m'(0)| [rad/s] in psi, else 0.
 
-    The vehicle starts with the velocity of its reference, but does not turn.
+    The vehicle starts with the velocity of its reference, but without its yaw rate.
     """
     sines = problem["reference"]
     if sines is None or name != "psi":

@@ -1,6 +1,7 @@
-"""The map F from bounds Y of all signals to the bounds that follow from them, and F_s, the same for upper limits.
+"""The map F from bounds Y of all signals to the bounds that follow from Y, and F_s, the same map for upper limits.
 
-Bounds Y > F(Y) imply themselves, and so hold. (V1) to (V5) are the theorem's conditions in docs/vehicle_proofs.md.
+Bounds with Y > F(Y) imply themselves, and therefore hold. (V1) to (V5) are the theorem's conditions in
+docs/vehicle_proofs.md.
 """
 
 from collections.abc import Mapping
@@ -34,17 +35,17 @@ from dssc_jax.proofs.verifier.vehicle.slopes import signal_slopes
 Responses = Mapping[str, Mapping[str, list[SignalResponse]]]
 """Responses of the signals, by channel and name, one for each phase of a sample."""
 REACH = 2 * len(PHASES)
-"""T_s over the largest distance of a time within a sample from the nearest phase, 8."""
+"""T_s over the largest distance of a time within a sample from the nearest phase: 8, since phases are T_s/4 apart."""
 
 
 class Vehicle(NamedTuple):
-    """What the map F needs besides the bounds: the linear channels of a vehicle and their responses.
+    """The linear channels of a vehicle and their responses, which the map F needs besides the bounds.
 
     Args:
         problem: The certificate's problem.
         middles: Slopes, share, damping, lambda and P of each linear channel.
-        ranges: Numbers that follow from the problem's intervals.
-        dampings: Damping of drag c of each linear channel [1/s].
+        ranges: Extremes over the problem's intervals.
+        dampings: c, the damping by drag in each linear channel [1/s]; 0 in psi.
         observations: The channels at their samples.
         responses: Responses of the signals, by channel and name, one for each phase.
         flight: The nominal flight; None: the vehicle hovers.
@@ -64,8 +65,8 @@ class Inputs(NamedTuple):
 
     Args:
         remainders: Bounds of the remainders.
-        deviations: How far the functions are from straight lines, by channel.
-        sigma: Bounds of the vehicle's |sigma|, by channel.
+        deviations: Bounds of the functions' deviations from straight lines, by channel.
+        sigma: Bounds of the vehicle's own |sigma| [m/s; rad/s in psi], by channel.
     """
 
     remainders: Remainders
@@ -96,13 +97,18 @@ def vehicle_of(problem: VehicleProblem, middles: Mapping[str, MiddleProof]) -> V
 
 
 def sigmas_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, arb]:
-    """Bounds of the vehicle's |sigma|, by channel, from bounds Y of the signals or of their deviation."""
+    """Bounds of the vehicle's own |sigma| [m/s; rad/s in psi], by channel.
+
+    Args:
+        vehicle: The linear channels, with the nominal flight.
+        bounds: Bounds Y of the signals, or of their deviation from the nominal flight.
+    """
     totals = total_bounds(vehicle.flight, bounds)
     return {name: totals[name]["sigma"] for name in CHANNELS}
 
 
 def deviations_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, Deviations]:
-    """How far the functions phi_1, phi_2 and phi_3 of each channel are from straight lines, for (V2) of the theorem.
+    """(V2) Bounds of the deviations of phi_1, phi_2 and phi_3 from straight lines, by channel.
 
     Args:
         vehicle: The linear channels, with the slopes of the lines.
@@ -116,13 +122,16 @@ def deviations_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, Deviati
 def inputs_under(
     vehicle: Vehicle, bounds: SignalBalls, deviations: Mapping[str, Deviations], earlier: Inputs | None = None
 ) -> Inputs:
-    """(V3) Bounds of the inputs while the signals are within bounds.
+    """(V3) Bounds of the inputs of the linear channels, while the signals stay within bounds Y.
 
     Args:
         vehicle: The linear channels and their responses.
         bounds: Y, bounds of the signals or of their deviation from the nominal flight.
-        deviations: How far the functions are from straight lines, by channel.
+        deviations: Bounds of the functions' deviations from straight lines, by channel.
         earlier: Bounds of the inputs in the time cell before; None in the first one.
+
+    Raises:
+        Rejected: The vehicle may leave the range of the theorem.
     """
     earlier_remainders = None if earlier is None else earlier.remainders
     totals = body_bounds(vehicle.flight, bounds)
@@ -136,9 +145,9 @@ def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, fro
 
     Args:
         vehicle: The linear channels and their responses.
-        bounds: Y, bounds of the signals.
-        inputs: Bounds of the inputs that they allow.
-        from_start: Whether to take F, from the start on; otherwise F_s, which has no start.
+        bounds: Y, bounds of the signals, or of their deviation from the nominal flight.
+        inputs: Bounds of the inputs while the signals are within Y.
+        from_start: Whether to return F, which holds from the start on; otherwise F_s, which leaves the start out.
 
     Raises:
         Rejected: A bound is not finite.
@@ -167,14 +176,14 @@ def signal_bound(
     starts: list[arb] | None,
     factor: arb,
 ) -> arb:
-    """The bound of a signal at one phase: the sum of its responses to all inputs, to the constant and to the start.
+    """The bound of a signal at one phase: the sum of the signal's responses to all inputs, the constant and the start.
 
     Args:
         name: Name of the channel.
         inputs: Bounds of the inputs.
         response: Response of the signal at the phase, to inputs of size 1.
         starts: E_0, V_0 and the bound of q_(-1)'s deviation; None for upper limits, which no start affects.
-        factor: h, by :func:`axis_factor`.
+        factor: h of the signal, by :func:`axis_factor`.
     """
     deviations = inputs.deviations[name]
     sigma = inputs.sigma[name]
@@ -194,12 +203,15 @@ def signal_bound(
 
 
 def axis_factor(name: str, signal: str) -> arb:
-    """h, the factor of the omegas' bounds: 2^(1/2) in a signal that is a norm of the plane, since both axes add."""
+    """h, the factor of the bounds of omega_u and omega_r in a signal: 2^(1/2) for a norm of the plane, otherwise 1.
+
+    The omegas are bounded along each axis, so their vector in the plane is up to 2^(1/2) times as long.
+    """
     return arb(1) if name != "x" or signal in ALONG_AXES else arb(2).sqrt()
 
 
 def start_sizes(vehicle: Vehicle, name: str) -> list[arb]:
-    """Bounds at t = 0 in a channel: E_0 of |e|, V_0 of |e'|, and of what q_(-1) deviates by."""
+    """Bounds at t = 0 in a channel: E_0 of |e|, V_0 of |e'|, and a bound of the deviation of q_(-1), in this order."""
     controller = vehicle.problem["channels"][name]
     e, e_dot = map(arb, controller["initial"])
     start_sigma = first_sigma(vehicle.problem, name).upper()
@@ -212,7 +224,7 @@ def start_sizes(vehicle: Vehicle, name: str) -> list[arb]:
 
 
 def first_sigma(problem: VehicleProblem, name: str) -> arb:
-    """Sigma_0, the bound of |sigma| of a channel at t = 0: V_0 + l_0 E_0, in psi plus |psi_m'(0)|."""
+    """Sigma_0, a bound of |sigma| of a channel at t = 0: V_0 + l_0 E_0 and, in psi, |psi_m'(0)| besides."""
     controller = problem["channels"][name]
     e, e_dot = map(arb, controller["initial"])
     return e_dot + initial_yaw_rate(problem, name) + arb(controller["l0"]) * e

@@ -1,9 +1,9 @@
 """The nominal flight of a moving reference: the steady response of the linear channels to sums of sines, in balls.
 
-The reference is known motion, so the theorem subtracts it: bounds Y are those of the deviation from the nominal flight.
-At every frequency f a sampled channel has the steady response Z_f e^(2 pi i f t_k) with (e^(2 pi i f T_s) - A) Z_f =
-D_f, where D_f is what drives the channel within a sample. A signal at the time t_k + s is the real part of
-X(s) e^(2 pi i f t_k).
+The motion of the reference is known. So the theorem subtracts the nominal flight, and its bounds Y are bounds of the
+deviation from this flight. At every frequency f a sampled channel has the steady response Z_f e^(2 pi i f t_k) with
+(e^(2 pi i f T_s) - A) Z_f = D_f, where D_f is the phasor of the effect of all known inputs over a sample. A signal at
+the time t_k + s is the real part of X(s) e^(2 pi i f t_k).
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,8 +40,9 @@ class AxisInputs(NamedTuple):
 
     Args:
         reference: The reference y_m without its constant.
-        known_remainders: The known parts of the remainders, by name; they drive the linear loop as y_m does.
-        comparisons: Differences to bound, by name: a signal, and the sum of sines that is subtracted from it.
+        known_remainders: The known parts of the remainders, by name, which also drive the linear loop.
+        comparisons: Differences that are to be bounded, by name: the name of a signal, and the sum of sines that is
+            subtracted from this signal.
     """
 
     reference: Waves
@@ -50,7 +51,7 @@ class AxisInputs(NamedTuple):
 
     @property
     def frequencies(self) -> set[Fraction]:
-        """The frequencies [Hz] of all that drives the loop."""
+        """The frequencies [Hz] of the reference and of the known remainders."""
         return {frequency for waves in (self.reference, *self.known_remainders.values()) for frequency in waves}
 
 
@@ -58,9 +59,9 @@ class ChannelFlight(NamedTuple):
     """The nominal flight in one channel.
 
     Args:
-        bounds: N, bounds of the flight's signals and of its differences, by name.
-        starts: For each axis, the known part of the vehicle's z_0 less the flight's z_0, shape (m, 1). The unknown part
-            is within E_0 and V_0.
+        bounds: N, bounds of the flight's signals and of the differences in :class:`AxisInputs`, by name.
+        starts: For each axis, the known part of the vehicle's z_0 less the flight's z_0, shape (m, 1). E_0 and V_0
+            bound the unknown part of the vehicle's z_0.
     """
 
     bounds: Balls
@@ -68,7 +69,7 @@ class ChannelFlight(NamedTuple):
 
 
 def axis_inputs_of(problem: VehicleProblem, name: str, damping: arb) -> list[AxisInputs]:
-    """The known motion along each axis of a channel.
+    """The known motion along each axis of a channel, which a moving reference causes.
 
     With alpha_0 = y_m'' + c y_m', the remainders of x and y have the known parts force = z_m'' alpha_0/g and torque =
     a_1 psi_m' K alpha_0 - a_0 z_m'' alpha_0/g, where K is a quarter turn of the plane.
@@ -76,7 +77,7 @@ def axis_inputs_of(problem: VehicleProblem, name: str, damping: arb) -> list[Axi
     Args:
         problem: The certificate's problem, with a reference.
         name: Name of the channel.
-        damping: c, damping of drag in the linear channel of x [1/s].
+        damping: c, the damping by drag in the linear channel of x [1/s]; unused for z and psi.
     """
     sines = problem["reference"]
     assert sines is not None
@@ -108,9 +109,9 @@ class DrivenChannel(NamedTuple):
 
     Args:
         name: Name of the channel.
-        controller: Its controller.
-        proof: Its proof, with the slopes of the straight lines.
-        channel: Its linear channel.
+        controller: The channel's controller.
+        proof: The channel's proof, with the slopes of the straight lines.
+        channel: The linear channel.
         sampled: The channel at its samples.
         sample_time: T_s [s].
         phases: Times within a sample at which signals are bounded [s]; every time is within T_s/8 of one of them.
@@ -152,7 +153,7 @@ def channel_flight(problem: VehicleProblem, driven: DrivenChannel) -> ChannelFli
 
 
 class SteadyResponse(NamedTuple):
-    """The steady response of a channel to what drives one of its axes at one frequency.
+    """The steady response of a channel to the known motion along one of its axes, at one frequency.
 
     Args:
         state: The real part of Z_f, the flight's z at t = 0, shape (m, 1).
@@ -166,7 +167,7 @@ class SteadyResponse(NamedTuple):
 
 
 class InputPhasors(NamedTuple):
-    """Phasors at one frequency of what drives an axis.
+    """Phasors, at one frequency, of the known motion along an axis.
 
     Args:
         speed: Phasor of y_m'.
@@ -180,7 +181,7 @@ class InputPhasors(NamedTuple):
 
 
 def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
-    """The phasors at one frequency [Hz] of the known motion along an axis; 0 where it has no such frequency."""
+    """The phasors of the known motion along an axis at one frequency [Hz]; 0 for a motion without this frequency."""
     i_omega = acb(0, angular_frequency(frequency))
     speed = i_omega * inputs.reference.get(frequency, acb(0))
     known_remainders = {name: waves.get(frequency, acb(0)) for name, waves in inputs.known_remainders.items()}
@@ -190,11 +191,12 @@ def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
 def driven_generator(channel: Channel, phasors: InputPhasors, i_omega: acb) -> acb_mat:
     """The generator of (chi, U, e^(i omega t)) within a sample, shape (n + 2, n + 2).
 
-    U is held, and the last entry, a wave, drives chi: e' = v - y_m', and the known remainders act.
+    U is held. The last entry is a wave that drives chi: through -y_m' in e' = v - y_m', where v is the rate of the
+    output, and through the known remainders.
 
     Args:
         channel: The linear channel.
-        phasors: Phasors of what drives the axis.
+        phasors: Phasors of the known motion along the axis.
         i_omega: i times the angular frequency [1/s].
     """
     n = channel.order
@@ -218,7 +220,7 @@ def signal_rows(
     Args:
         channel: The linear channel.
         inputs: The known motion along the axis.
-        phasors: Its phasors at the frequency.
+        phasors: Phasors of this motion at the frequency.
         l0: Error pole [1/s].
         frequency: The frequency [Hz].
     """
@@ -235,7 +237,7 @@ def signal_rows(
 
 
 def steady_response(driven: DrivenChannel, inputs: AxisInputs, frequency: Fraction) -> SteadyResponse:
-    """The steady response of a channel to what drives one of its axes at one frequency f.
+    """The steady response of a channel to the known motion along one of its axes, at one frequency f.
 
     Args:
         driven: The channel.
@@ -284,12 +286,12 @@ def steady_response(driven: DrivenChannel, inputs: AxisInputs, frequency: Fracti
 
 
 def steady_state(a: arb_mat, rotation: acb, drive: Sequence[acb], name: str) -> acb_mat:
-    """Z_f with (rotation - A) Z_f = drive, shape (m, 1).
+    """Solve (rotation I - A) Z_f = drive for Z_f, shape (m, 1).
 
     Args:
         a: A, shape (m, m).
         rotation: e^(2 pi i f T_s).
-        drive: D_f, what drives each entry of z in a sample.
+        drive: D_f, the phasor that is added to each of the m entries of z in a sample.
         name: Name of the channel, for the message.
 
     Raises:
@@ -311,13 +313,13 @@ def row_product(row: arb_mat, column: acb_mat) -> acb:
 def size_of(signal: str, axes: Sequence[Sequence[acb]]) -> arb:
     """A bound of a signal at all phases, from its phasors along each axis.
 
-    Of a signal along an axis it is the larger amplitude, of a vector of the plane the largest norm. The vector of
-    Re(X w) and Re(Y w) with |w| = 1 is a sum of two that turn in opposite senses, of lengths |X + i Y|/2 and
-    |X - i Y|/2.
+    For a signal along an axis the bound is the larger amplitude, for a vector of the plane the largest norm. The vector
+    of Re(X w) and Re(Y w) with |w| = 1 is the sum of two vectors that turn in opposite senses, with the lengths
+    |X + i Y|/2 and |X - i Y|/2.
 
     Args:
         signal: Name of the signal.
-        axes: Phasors at the phases, for each axis.
+        axes: For each axis, the signal's phasors at the phases.
 
     Raises:
         Rejected: A phasor is not finite.
@@ -337,7 +339,8 @@ def size_of(signal: str, axes: Sequence[Sequence[acb]]) -> arb:
 def first_state(driven: DrivenChannel, inputs: AxisInputs) -> arb_mat:
     """The known part of the vehicle's z_0 on an axis, shape (m, 1).
 
-    The vehicle starts with the velocity of its reference, but does not turn: there sigma_0 = -psi_m' sets q_(-1).
+    Along x, y and z the vehicle starts with the velocity of its reference. In psi it starts without a turn, so that
+    sigma_0 = -psi_m' sets the sum q_(-1).
     """
     speed = value_at_start(derivative(inputs.reference))
     entries = [arb(0)] * driven.sampled.a.nrows()
@@ -350,7 +353,7 @@ def first_state(driven: DrivenChannel, inputs: AxisInputs) -> arb_mat:
 
 
 def start_ratio(proof: MiddleProof, start: str, t: arb) -> arb:
-    """-q_(-1)/sigma_0, the share of sigma_0 in the sum before the first sample, with straight lines for functions.
+    """-q_(-1)/sigma_0, where q_(-1) is the sum before the first sample, with straight lines for the functions.
 
     Args:
         proof: The proof of a channel, with the slopes of the lines.

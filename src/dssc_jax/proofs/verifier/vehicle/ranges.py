@@ -24,14 +24,14 @@ class Ranges(NamedTuple):
         mass_high: M_+, the largest mass [kg].
         believed_ratio_h: j_h, the largest |J_z - J_y|/J_x and |J_z - J_x|/J_y of the believed inertia J_n.
         believed_ratio_z: j_z, the largest |J_x - J_y|/J_z of the believed inertia.
-        ratio_h: i_h, the same as j_h over the intervals of the inertia J.
-        ratio_z: i_z, the same as j_z over these intervals.
-        sum_ratio_h: l_h, the largest (J_z + J_y)/J_x and (J_z + J_x)/J_y over these intervals.
-        sum_ratio_z: l_z, the largest (J_x + J_y)/J_z over these intervals.
+        ratio_h: i_h, the ratio j_h for the inertia J, at its largest over the intervals of J.
+        ratio_z: i_z, the ratio j_z for the inertia J, at its largest over the intervals of J.
+        sum_ratio_h: l_h, the largest (J_z + J_y)/J_x and (J_z + J_x)/J_y over the intervals of J.
+        sum_ratio_z: l_z, the largest (J_x + J_y)/J_z over the intervals of J.
         inertia_h: J_h, the smallest of J_x and J_y [kg m^2].
         inertia_z: The smallest J_z [kg m^2].
         believed_h: J_nh, the larger of J_n,x and J_n,y [kg m^2].
-        believed_least: J_nl, the smaller of these [kg m^2].
+        believed_least: J_nl, the smaller of J_n,x and J_n,y [kg m^2].
         believed_z: J_n,z [kg m^2].
     """
 
@@ -101,11 +101,11 @@ def largest_sum(first: Interval, second: Interval) -> arb:
 
 
 def horizontal_ratio(inertia: Sequence[Interval], size: Callable[[Interval, Interval], arb]) -> arb:
-    """The larger one of size(J_z, J_y)/J_x and size(J_z, J_x)/J_y, the ratio that matters across body z.
+    """The larger of size(J_z, J_y)/J_x and size(J_z, J_x)/J_y over intervals: the ratio for turns across body z.
 
     Args:
         inertia: Intervals of J_x, J_y and J_z [kg m^2].
-        size: :func:`largest_difference` or :func:`largest_sum`.
+        size: Function of two intervals that gives the numerator: :func:`largest_difference` or :func:`largest_sum`.
     """
     x, y, z = inertia
     x_low, _ = x

@@ -1,7 +1,6 @@
-"""Bounds of the remainders, what the vehicle has besides its linear channels, from bounds of its signals.
+"""Bounds of the remainders, the differences of the vehicle from its linear channels, from bounds of its signals.
 
-Every number is rounded up. The formulas are those of docs/vehicle_proofs.md, in their order; their symbols stand beside
-each line.
+Every number is rounded up. docs/vehicle_proofs.md has the formulas in the same order; comments give the symbols.
 """
 
 from collections.abc import Mapping
@@ -32,14 +31,14 @@ class TurningRemainders(NamedTuple):
 
 
 class Remainders(NamedTuple):
-    """Bounds of the remainders, and of the tilt and the rotors on the way to them.
+    """Bounds of the remainders, and those of the tilt and the rotors from which they follow.
 
     Args:
         channels: Bounds of the remainders ``force``, ``torque`` and ``lag``, by channel and name.
         constant: k g, bound of the constant o of the channel z [m/s^2].
         tilt: beta, bound of the tilt [rad].
         rotors: Bounds of the rotors' thrusts and speeds.
-        shortfall: d, bound of how far a thrust is behind its command [N]; 0 without a rotor lag.
+        shortfall: d, bound of the difference of a thrust from its command [N]; 0 without a rotor lag.
     """
 
     channels: dict[str, Balls]
@@ -61,12 +60,12 @@ def remainders_of(
 
     Args:
         problem: The certificate's problem.
-        ranges: Numbers that follow from its intervals.
-        bounds: Bounds of the vehicle's signals.
-        dampings: Damping of drag c in the linear channels of x and z [1/s].
+        ranges: Extremes over the problem's intervals.
+        bounds: Bounds of the signals by which the vehicle's body moves, by channel and name.
+        dampings: c, the damping by drag in the linear channels of x and z [1/s].
         earlier: Remainders in the time cell before; None in the first one.
-        coupling: Bounds of the products that couple the channels of a moving vehicle, which has no rotor lag. None: the
-            vehicle hovers, and no part is known.
+        coupling: Bounds of a moving vehicle's distances from the motion that its reference needs; such a vehicle has no
+            rotor lag. None: the vehicle hovers, and no part of the remainders is known.
 
     Raises:
         Rejected: The vehicle may leave the range of the theorem.
@@ -91,7 +90,10 @@ def remainders_of(
 
 
 def plane_force(ranges: Ranges, attitude: Attitude, drag: DragBounds, coupling: Coupling | None) -> arb:
-    """x.force [m/s^2]: what p_h'' has besides alpha - c v, by a tilt that is not small, lift, thrust and drag."""
+    """x.force, bound of |p_h'' - (alpha - c v)| [m/s^2]: the effects of a large tilt, of lift, thrust and drag.
+
+    A known part of a moving vehicle, by :func:`lift_force`, is left out.
+    """
     g = ranges.gravity
     k = ranges.thrust_deviation  # the largest |kappa - 1|
     s = attitude.tilt
@@ -103,7 +105,7 @@ def plane_force(ranges: Ranges, attitude: Attitude, drag: DragBounds, coupling: 
 def lift_force(ranges: Ranges, attitude: Attitude, coupling: Coupling | None) -> arb:
     """Bound of |q beta|, the horizontal force over mass of the lift q on a tilted vehicle [m/s^2].
 
-    Of a moving vehicle it is |q beta - z_m'' alpha_0/g|, without the known part.
+    For a moving vehicle the known part is subtracted: the result bounds |q beta - z_m'' alpha_0/g|.
     """
     if coupling is None:
         return attitude.achieved_lift * attitude.tangent  # Q t
@@ -116,7 +118,11 @@ def lift_force(ranges: Ranges, attitude: Attitude, coupling: Coupling | None) ->
 def vertical_remainders(
     problem: VehicleProblem, ranges: Ranges, attitude: Attitude, drag: DragBounds, lag: RotorLag
 ) -> Balls:
-    """z.force [m/s^2], what z'' has besides q - c e' + o; with a rotor lag also z.lag [m/s^3], what q' has besides."""
+    """Bounds of the remainders of z: ``force`` [m/s^2] and, with a rotor lag, ``lag`` [m/s^3].
+
+    ``force`` bounds |z'' - (q - c e' + o)|, and ``lag`` bounds |q' - (a_z - q)/tau|, where q is the achieved lift and
+    a_z the wanted one.
+    """
     force = ranges.thrust_deviation * attitude.achieved_lift + drag.drag_z + drag.tilted_z
     remainders = {"force": force.upper()}
     if problem["rotor_lag"] > 0:
@@ -132,8 +138,15 @@ def coupled_torque(
 ) -> arb:
     """Bound of |a_0 g (b_d - a_h/g)| + |a_1 psi' K alpha| [m/s^2], without the known parts of a moving vehicle.
 
-    The first term is there because the desired tilt b_d is not linear, the second because the plane turns. The
-    arguments are those of :func:`torques_without_lag`.
+    The first term comes from the nonlinear law of the desired tilt b_d, the second from the turn of the plane by yaw,
+    where K is a quarter turn.
+
+    Args:
+        problem: The certificate's problem.
+        ranges: Extremes over the problem's intervals.
+        bounds: Bounds of the vehicle's signals; only those of x are used, and only with a coupling.
+        attitude: Bounds of the attitude.
+        coupling: Bounds of the couplings; None: the vehicle hovers.
     """
     g = ranges.gravity
     stiffness = arb(problem["stiffness"])
@@ -156,13 +169,14 @@ def torques_without_lag(
     drag: DragBounds,
     coupling: Coupling | None,
 ) -> TurningRemainders:
-    """The torques without a rotor lag.
+    """Bounds of x.torque and psi.torque without a rotor lag.
 
-    m_h and m_z bound how far the body's angular acceleration is from the wanted one, across and along body z [rad/s^2].
+    m_h and m_z bound the difference of the body's angular acceleration from the wanted one, across and along body z
+    [rad/s^2].
 
     Args:
         problem: The certificate's problem.
-        ranges: Numbers that follow from its intervals.
+        ranges: Extremes over the problem's intervals.
         bounds: Bounds of the vehicle's signals.
         attitude: Bounds of the attitude.
         drag: Bounds of the drag and of its torques.
@@ -188,10 +202,19 @@ def torques_without_lag(
 def torques_with_lag(
     problem: VehicleProblem, ranges: Ranges, bounds: SignalBalls, attitude: Attitude, drag: DragBounds, lag: RotorLag
 ) -> TurningRemainders:
-    """The torques and the remainders of the lag, with a rotor lag.
+    """Bounds of the remainders ``torque`` and ``lag`` of x and psi with a rotor lag.
 
-    mu_h and mu_z bound mu, the angular acceleration that the rotors achieve as the inner loops believe. m_h and m_z
-    bound how far the body's true one is from it. Each is across and along body z [rad/s^2].
+    mu is the angular acceleration that the inner loops believe the rotors to achieve; mu_h and mu_z bound it. m_h and
+    m_z bound the difference of the body's true angular acceleration from mu. The index h stands for the part across
+    body z, the index z for the part along it [rad/s^2].
+
+    Args:
+        problem: The certificate's problem.
+        ranges: Extremes over the problem's intervals.
+        bounds: Bounds of the vehicle's signals.
+        attitude: Bounds of the attitude.
+        drag: Bounds of the drag and of its torques.
+        lag: Bounds of the rotors' lag behind their commands.
     """
     s = attitude.tilt
     t = attitude.tangent
@@ -219,7 +242,7 @@ def torques_with_lag(
 
 
 def turn_of_plane(attitude: Attitude, yaw_acceleration: arb) -> arb:
-    """Bound of |psi'' K b + 2 psi' K b' + psi'^2 b| [rad/s^2], the part of b'' by the turn of the plane.
+    """Bound of |psi'' K b + 2 psi' K b' + psi'^2 b| [rad/s^2], the part of b'' that the turn of the plane causes.
 
     Args:
         attitude: Bounds of the attitude.

@@ -1,10 +1,10 @@
-"""Upper bounds of what inputs and starts of size 1 do to a channel's signals: sums, integrals and peaks of responses.
+"""Upper bounds of the effects of inputs and starts of size 1 on a channel's signals: sums and peaks of responses.
 
 Signals are bounded at the times ``PHASES`` of each sample. A remainder acts through f(r) = C_s A^k e^(A_c r) b at all
 times r of a sample, so its effect is the integral of |f|. A sample is cut into pieces. Over a piece of length h the
-integral is at most h/2 (|f(0)| + |f(h)|), that of the straight line between the ends, plus h^3/12 sup |f''|, how far f
-is from this line. f'' has the column e^(A_c r) A_c^2 b, which is enclosed over the sample as a middle column plus a
-radius in each unit column.
+integral is at most h/2 (|f(0)| + |f(h)|), as for the straight line between the ends, plus h^3/12 sup |f''| for the
+distance of f from this line. The column of f'' is e^(A_c r) A_c^2 b, which is enclosed over the sample as a middle
+column plus a radius in each unit column.
 """
 
 import math
@@ -44,7 +44,7 @@ from dssc_jax.proofs.verifier.vehicle.channels import (
 from dssc_jax.proofs.verifier.vehicle.nominal import DrivenChannel, channel_flight, start_ratio
 
 PIECES = 4
-"""Number of pieces of a sample; with a rotor lag, of each half of the lag. A straight line stands for f over each."""
+"""Number of pieces of a sample or, with a rotor lag, of half of the lag's time constant."""
 MOST_PIECES = 32
 """Largest number of pieces of a sample."""
 PHASES = (Fraction(1, 8), Fraction(3, 8), Fraction(5, 8), Fraction(7, 8))
@@ -59,13 +59,13 @@ class SignalResponse(NamedTuple):
     """Upper bounds of a signal at one phase of the samples, for inputs and starts of size 1.
 
     Args:
-        command: For |omega_u| <= 1, omega_u being what the command deviates by.
-        integral: For |omega_r| <= 1, omega_r being what the sum q deviates by besides.
-        remainders: For each remainder |r_j| <= 1, by name.
-        constant: For a constant 1 in place of o, from t = 0 on.
-        settled_constant: For this constant as time grows.
-        starts: For e = 1 at t = 0, for e' = 1, and for a deviation 1 of q_(-1).
-        start_offset: For the known part of z_0 less the nominal flight's; 0 if the vehicle hovers.
+        command: Bound for |omega_u| <= 1, where omega_u is the command's deviation.
+        integral: Bound for |omega_r| <= 1, where omega_r is the own deviation of the sum q.
+        remainders: Bounds for each remainder |r_j| <= 1, by name.
+        constant: Bound for a constant 1 in place of o, from t = 0 on.
+        settled_constant: Limit of the bound for this constant as time grows.
+        starts: Bounds for e = 1 at t = 0, for e' = 1, and for a deviation 1 of q_(-1).
+        start_offset: Bound for the known part of z_0 less the nominal flight's z_0; 0 if the vehicle hovers.
     """
 
     command: arb
@@ -96,7 +96,7 @@ class PhaseSignal(NamedTuple):
 
 
 class ChannelObservation(NamedTuple):
-    """A sampled channel whose V falls, its signals, and the columns of its inputs and starts.
+    """A sampled channel for which V = z'Pz falls, its signals, and the columns of its inputs and starts.
 
     Args:
         channel: The linear channel.
@@ -128,15 +128,15 @@ class ChannelObservation(NamedTuple):
 
 
 def observe_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> ChannelObservation:
-    """(V1) A channel at its samples, its signals and its inputs; it is shown that V = z'Pz falls.
+    """(V1) Build a channel at its samples, with its signals and inputs, and show that V = z'Pz falls.
 
     Args:
         problem: The certificate's problem.
         name: Name of the channel.
-        proof: Its proof, with slopes, share, damping, lambda and P.
+        proof: The channel's proof, with slopes, share, damping, lambda and P.
 
     Raises:
-        Rejected: V does not fall.
+        Rejected: lambda is out of range, P is not positive definite, V does not fall, or a response cannot be enclosed.
     """
     controller = problem["channels"][name]
     t = arb(problem["sample_time"])
@@ -186,7 +186,7 @@ def channel_responses(
     Args:
         problem: The certificate's problem.
         name: Name of the channel.
-        observation: Its signals and inputs at the samples.
+        observation: The channel's signals and inputs at the samples.
 
     Raises:
         Rejected: The responses decay too slowly.
@@ -231,12 +231,12 @@ def phase_signals_of(channel: Channel, sampled: SampledChannel, t: arb, share: a
 
 
 class CurvedColumn(NamedTuple):
-    """The column e^(A_c r) b of a remainder for times r within a sample.
+    """An enclosure of the column e^(A_c r) b of a remainder, for all times r within a sample.
 
     Args:
         points: The column at the ends of all pieces of the sample, shape (n, 1) each.
-        bend: Middle of the column's second derivative over the sample, shape (n, 1).
-        radii: Radius about this middle, for each state.
+        bend: Middle of the ball of the column's second derivative over the sample, shape (n, 1).
+        radii: Radius of this ball in each of the n states.
     """
 
     points: list[arb_mat]
@@ -250,7 +250,7 @@ class CurvedColumn(NamedTuple):
 
 
 def pieces_of(problem: VehicleProblem) -> int:
-    """Number of pieces of a sample; more pieces give a smaller bound, and a short rotor lag needs more."""
+    """Number of pieces of a sample for integrals; every number gives a valid bound, a short rotor lag needs more."""
     lag = problem["rotor_lag"]
     if lag <= 0:
         return PIECES
@@ -272,17 +272,17 @@ def curved_columns(channel: Channel, t: arb, pieces: int) -> dict[str, CurvedCol
 
 
 def extended_column(column_block: arb_mat, sampled: SampledChannel) -> arb_mat:
-    """A column over chi, extended by zeros to a column over z, shape (m, 1)."""
+    """Extend a column over chi by zeros to a column over z, shape (m, 1)."""
     zero_count = sampled.a.nrows() - column_block.nrows()
     return stack([column_block, arb_mat(zero_count, 1)])
 
 
 class Starts(NamedTuple):
-    """The states z_0 of some starts, and constants that are added to the responses to them.
+    """The states z_0 for the starts e = 1, e' = 1, q_(-1) = 1 and for the constant, with offsets of the responses.
 
     Args:
         columns: Columns z_0, shape (m, 4).
-        offsets: The constants, shape (phase signals, 4).
+        offsets: Constants that are added to the responses, shape (phase signals, 4); only the constant has some.
     """
 
     columns: arb_mat
@@ -300,13 +300,14 @@ def start_columns(
     """The starts of a channel without those of a nominal flight.
 
     The starts are e = 1, e' = 1, q_(-1) = 1, and a constant force 1 from t = 0 on. The constant leads to the
-    equilibrium z*, so that z_k = z* + A^k (0 - z*). The signal at s has the integral of C e^(A_c r) b up to s besides.
+    equilibrium z*, so that z_k = z* + A^k (0 - z*). To the signal at the time s since the sample it also adds the
+    integral of C e^(A_c r) b over r from 0 to s.
 
     Args:
         channel: The linear channel.
         sampled: The channel at its samples.
-        proof: Its proof, with the slopes of the straight lines.
-        start: Start of the predictor.
+        proof: The channel's proof, with the slopes of the straight lines.
+        start: Start of the predictor: ``zero``, ``matched`` or ``midpoint``.
         t: T_s [s].
         phase_signals: The signals at their phases.
 
@@ -377,9 +378,14 @@ def response_of(i: int, observation: ChannelObservation, bounds: ResponseBounds,
 
 
 def integral_within(channel: Channel, phase_signal: PhaseSignal, curve: CurvedColumn) -> arb:
-    """Bound of what a remainder of size 1 does to a signal in the same sample.
+    """Bound of the effect of a remainder of size 1 on a signal in the same sample; 0 for u_av, taken at its beginning.
 
-    It is the integral of |C e^(A_c r) b| over r from 0 to the signal's phase, in as many pieces as a sample has.
+    The bound is that of the integral of |C e^(A_c r) b| over r from 0 to the signal's phase.
+
+    Args:
+        channel: The linear channel.
+        phase_signal: The signal at its phase.
+        curve: The column of the remainder; the time up to the phase is cut into as many pieces as the curve has.
     """
     if phase_signal.name == EQUIVALENT:
         return arb(0)

@@ -1,7 +1,7 @@
-"""Bounds of the rotors' thrusts and speeds, and of how far a lag keeps them behind their commands.
+"""Bounds of the rotors' thrusts and speeds, and of their differences from their commands by a lag.
 
-docs/vehicle_proofs.md has the formulas, by the symbols that stand beside each line here. An upper bound is rounded up,
-a lower bound down.
+docs/vehicle_proofs.md has the formulas; comments here give the symbols. An upper bound is rounded up, a lower bound
+down.
 """
 
 from typing import NamedTuple
@@ -35,13 +35,16 @@ class Rotors(NamedTuple):
 
 
 class RotorLag(NamedTuple):
-    """Bounds of how far rotors with a lag are behind their commands.
+    """Bounds of the differences that the rotors' lag causes; all are 0 without a lag.
 
     Args:
-        moment_h: r_mh, bound of how far g times the commanded angular acceleration across body z is from m [m/s^2].
-        moment_z: r_mz, bound of how far the commanded angular acceleration along body z is from eta_psi [rad/s^2].
-        shortfall: d, bound of |f_ci - f_i|, how far a thrust is behind its command [N].
-        defect: zeta, bound of what a lag of the speed adds to the derivative of a thrust with a lag of its own [N/s].
+        moment_h: r_mh, bound of the difference of g times the commanded angular acceleration across body z from m
+            [m/s^2].
+        moment_z: r_mz, bound of the difference of the commanded angular acceleration along body z from eta_psi
+            [rad/s^2].
+        shortfall: d, bound of |f_ci - f_i|, the difference of a thrust from its command [N].
+        defect: zeta, bound of the difference of a thrust's derivative, where the speed has the lag, from that of a
+            thrust with the same lag [N/s].
         spin_up: Bound of the signed sum of the speeds' derivatives [rad/s^2].
     """
 
@@ -57,10 +60,10 @@ def rotors_of(problem: VehicleProblem, ranges: Ranges, attitude: Attitude, earli
 
     Args:
         problem: The certificate's problem.
-        ranges: Numbers that follow from its intervals.
+        ranges: Extremes over the problem's intervals.
         attitude: Bounds of the attitude.
-        earlier: Bounds of the rotors in the time cell before, whose thrusts still count with a rotor lag; None in the
-            first cell.
+        earlier: Bounds of the rotors in the time cell before, which still limit the thrusts if the rotors have a lag;
+            None in the first cell.
 
     Raises:
         Rejected: The command of a thrust may reach 0 or its limit.
@@ -103,7 +106,7 @@ def moment_thrust(problem: VehicleProblem, ranges: Ranges, m_h: arb, m_z: arb) -
 
     Args:
         problem: The certificate's problem.
-        ranges: Numbers that follow from its intervals.
+        ranges: Extremes over the problem's intervals.
         m_h: Bound of the angular acceleration across body z [rad/s^2].
         m_z: Bound of the angular acceleration along body z [rad/s^2].
     """
@@ -120,15 +123,15 @@ def rotor_lag_of(
     rotors: Rotors,
     earlier_shortfall: arb | None,
 ) -> RotorLag:
-    """(V3) Bounds of how far the rotors are behind their commands; zeros without a lag.
+    """(V3) Bounds of the differences that the rotors' lag causes; zeros without a lag.
 
-    In a later time cell the part xi of :func:`largest_shortfall` begins with what it had before. So d is the larger one
-    of this cell's and the earlier cell's d. The latter must be at most 4 f_min/(n - 4)^(1/2): the larger root of the
-    equation for d is not below this, so xi cannot reach it.
+    In a later time cell the part xi of :func:`largest_shortfall` begins with its value at the end of the cell before.
+    So d is the larger one of this cell's d and the earlier cell's. With more than four rotors, the earlier d must be at
+    most 4 f_min/(n - 4)^(1/2). The larger root of the equation for d is not below this limit, so xi cannot reach it.
 
     Args:
         problem: The certificate's problem.
-        ranges: Numbers that follow from its intervals.
+        ranges: Extremes over the problem's intervals.
         bounds: Bounds of the signals.
         attitude: Bounds of the attitude.
         rotors: Bounds of the rotors.
@@ -168,7 +171,7 @@ def rotor_lag_of(
 
 
 def largest_shortfall(n: arb, d_4: arb, f_min: arb) -> arb:
-    """(V3) d, a bound of |f_ci - f_i|, how far each rotor's thrust is behind its command [N].
+    """(V3) d, a bound of |f_ci - f_i|, the difference of each rotor's thrust from its command [N].
 
     With more than four rotors the thrusts f_i have a part xi_i in the null space of the allocation, too. The commands
     f_ci have none, so xi' = -xi/tau - (projection of the zeta_i on that space), with the lag tau and the defects zeta_i

@@ -1,6 +1,6 @@
-"""Bounds of how fast the signals change within a sample, from bounds of the signals and of the remainders.
+"""Bounds of the signals' derivatives within a sample, from bounds of the signals and of the remainders.
 
-They are the table of slopes in docs/vehicle_proofs.md.
+docs/vehicle_proofs.md has their table of slopes.
 """
 
 from collections.abc import Mapping
@@ -16,12 +16,12 @@ from dssc_jax.proofs.verifier.vehicle.remainders import Remainders
 def signal_slopes(
     problem: VehicleProblem, name: str, damping: float, bounds: SignalBalls, remainders: Remainders
 ) -> Balls:
-    """Bounds of the derivatives of a channel's signals within a sample, by name; u_av, constant there, has none.
+    """Bounds of the derivatives of a channel's signals within a sample, by name; u_av, which is constant, is left out.
 
     Args:
         problem: The certificate's problem.
-        name: The channel.
-        damping: Damping of drag c in its linear channel [1/s].
+        name: Name of the channel.
+        damping: c, the damping by drag in the linear channel [1/s]; unused in psi.
         bounds: Bounds of the signals, by channel and name.
         remainders: Bounds of the remainders.
     """
@@ -101,7 +101,13 @@ def vertical_slopes(
 
 
 def yaw_slopes(problem: VehicleProblem, bounds: Mapping[str, arb], remainders: Balls) -> Balls:
-    """Bounds of the derivatives of the signals of psi, by name; the arguments are those of :func:`plane_slopes`."""
+    """Bounds of the derivatives of the signals of psi, by name.
+
+    Args:
+        problem: The certificate's problem.
+        bounds: Bounds of the signals, by name.
+        remainders: Bounds of the remainders, by name.
+    """
     l0 = arb(problem["channels"]["psi"]["l0"])
     lagging = problem["rotor_lag"] > 0
     e_dot_slope = (bounds["gamma"] if lagging else bounds["wanted"]) + remainders["torque"]

@@ -1,6 +1,6 @@
-"""The verifier of a vehicle's certificate: it is proved if every premise, (V0) to (V5), holds in ball arithmetic.
+"""The verifier of a vehicle's certificate: a vehicle is proved if the premises (V0) to (V5) hold in ball arithmetic.
 
-It takes the numbers of the certificate as exact. docs/vehicle_proofs.md states the theorem.
+The verifier takes the certificate's numbers as exact. docs/vehicle_proofs.md states the theorem.
 """
 
 import math
@@ -53,7 +53,7 @@ class VehicleVerdict(NamedTuple):
 
     Args:
         proved: Whether every premise holds.
-        reason: The first premise that could not be shown, and its signal; empty if proved.
+        reason: The first premise that could not be shown, with the signal or the entry concerned; empty if proved.
         bounds: Bounds of the signals at all times, by channel and name; empty if not proved.
         settled: Bounds of the signals' upper limits (limits superior), by channel and name; empty if not proved.
         tilt: Bound of the tilt [rad]; infinite if not proved.
@@ -142,14 +142,18 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
 
 
 def upper_limits(vehicle: Vehicle, proof: VehicleProof, last_bounds: SignalBalls) -> SignalBalls:
-    """Bounds of the upper limits of the signals, or of their deviation from the nominal flight.
+    """Bounds of the upper limits (limits superior) of the signals, or of their deviation from the nominal flight.
 
-    What happened before any time decays in every stable linear channel, so a proof may have other channels for them.
+    The effect of everything before any fixed time decays in every stable linear channel. So a proof may use other
+    linear channels for the upper limits, with smaller bounds.
 
     Args:
-        vehicle: The linear channels of the cells and their responses.
-        proof: The proof.
+        vehicle: The linear channels of the time cells and their responses.
+        proof: The proof, which may contain other linear channels in ``settled``.
         last_bounds: Bounds of the signals in the last cell.
+
+    Raises:
+        Rejected: The other channels are not shown to be stable, or their responses decay too slowly.
     """
     settled = settled_bounds(vehicle, last_bounds)
     if proof["settled"] is None:
@@ -163,7 +167,10 @@ def require_implied(cells: Sequence[SignalBalls], implied: Sequence[SignalBalls]
 
     Args:
         cells: Y, bounds of the signals in each cell.
-        implied: F(Y).
+        implied: F(Y), in each cell.
+
+    Raises:
+        Rejected: A bound does not exceed the implied one; the message names the signal and the cell.
     """
     for j, bounds in enumerate(cells):
         for name in CHANNELS:
@@ -174,13 +181,19 @@ def require_implied(cells: Sequence[SignalBalls], implied: Sequence[SignalBalls]
 
 
 def sigma_slope(name: str, bounds: SignalBalls, inputs: Inputs) -> arb:
-    """S', a bound of abs(sigma') of a channel between the samples [m/s^2; rad/s^2 in psi]."""
+    """S', a bound of abs(sigma') of a channel between the samples [m/s^2; rad/s^2 in psi].
+
+    Args:
+        name: Name of the channel.
+        bounds: Bounds of the vehicle's signals, of which ``bend``, the linear part of sigma', is used.
+        inputs: Bounds of the inputs, of which the remainder in sigma' and, in z, the constant are used.
+    """
     slope = bounds[name]["bend"] + inputs.remainders.channels[name][REMAINDER_OF_SIGMA[name]]
     return slope + inputs.remainders.constant if name == "z" else slope
 
 
 def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inputs: Inputs) -> None:
-    """(V5) Require that the equivalent control of a channel is at most rho.
+    """(V5) Require that the equivalent control of a channel is at most rho, so that the channel slides.
 
     Args:
         problem: The certificate's problem.
@@ -204,9 +217,14 @@ def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inp
 
 
 def first_equivalent(problem: VehicleProblem, name: str, functions: Deviations) -> arb:
-    """A bound of the equivalent control at the first sample, where the predictor starts at ``zero``.
+    """A bound of the equivalent control at the first sample, if the predictor starts at ``zero``.
 
-    There sigma has changed from 0 to sigma_0 since the sample before.
+    For this start sigma counts as 0 at the sample before, so that its change is all of sigma_0.
+
+    Args:
+        problem: The certificate's problem.
+        name: Name of the channel.
+        functions: Bounds of the channel's functions and gains.
     """
     t = arb(problem["sample_time"])
     return (1 + functions.tau_av / t) * (functions.k_p + t * functions.k_i) * first_sigma(problem, name)
@@ -217,10 +235,11 @@ def bounds_for_channels(
 ) -> SignalBalls:
     """Convert bounds of the signals to those of other linear channels, with another damping c and other slopes.
 
-    Only ``bend`` and ``acceleration``, which contain c e', and ``u_av``, which contains k_1 sigma, become larger.
+    Only three signals have another definition in the other channels, so that their bounds grow: ``bend`` and
+    ``acceleration`` contain c e', and ``u_av`` contains k_1 sigma.
 
     Args:
-        middles: The linear channels of the bounds.
+        middles: The linear channels to which the bounds belong.
         settled_middles: The other linear channels.
         bounds: Bounds of the signals, by channel and name.
     """
@@ -239,7 +258,10 @@ def bounds_for_channels(
 
 
 def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
-    """Bounds of the signals' upper limits (limits superior): Y_(i+1) is the smaller one of Y_i and F_s(1.0001 Y_i).
+    """Bounds of the signals' upper limits (limits superior), by iteration of F_s from given bounds.
+
+    Y_(i+1) is the smaller one of Y_i and F_s(1.0001 Y_i), since from some time on every signal stays within 1.0001
+    times a bound of its upper limit. The iteration ends when no bound falls by more than the share ``LEAST_FALL``.
 
     Args:
         vehicle: The linear channels and their responses.
@@ -263,7 +285,7 @@ def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
 
 
 def any_falls(bounds: SignalBalls, implied: SignalBalls) -> bool:
-    """Whether an implied bound is below the bound by more than the share ``LEAST_FALL``."""
+    """Whether the implied bound of any signal is below the signal's bound by more than the share ``LEAST_FALL``."""
     for name in CHANNELS:
         for signal, bound in bounds[name].items():
             if implied[name][signal] < bound * (1 - arb(LEAST_FALL)):

@@ -1,6 +1,6 @@
-"""Sums of sines in balls, as a phasor c for each frequency f: the sum of Re(c e^(2 pi i f t)) over all f.
+"""Sums of sines in balls. A phasor c for each frequency f stands for the sum of Re(c e^(2 pi i f t)) over all f.
 
-Frequencies are exact rational numbers, so that the difference of two equal ones is exactly zero.
+Frequencies are exact rational numbers, so that the difference of two equal frequencies is exactly zero.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,11 @@ Waves = Mapping[Fraction, acb]
 
 
 def sum_of_sines(sines: Sequence[tuple[Fraction, acb]]) -> dict[Fraction, acb]:
-    """Add up single sines, each with its frequency [Hz], which may be negative, and its phasor."""
+    """Add up single sines to a sum with one phasor for each frequency.
+
+    Args:
+        sines: Frequency [Hz], which may be negative, and phasor of each sine.
+    """
     result: dict[Fraction, acb] = {}
     for frequency, phasor in sines:
         if frequency < 0:  # Re(c e^(-i w t)) is Re(conj(c) e^(i w t))
@@ -47,7 +51,7 @@ def angular_frequency(frequency: Fraction) -> arb:
 
 
 def derivative(waves: Waves) -> Waves:
-    """The derivative of a sum of sines in time."""
+    """The derivative of a sum of sines with respect to time."""
     return {frequency: phasor * acb(0, angular_frequency(frequency)) for frequency, phasor in waves.items()}
 
 

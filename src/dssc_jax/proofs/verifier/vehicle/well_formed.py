@@ -1,4 +1,8 @@
-"""(V0) The form of a vehicle's certificate: it is checked before anything is computed."""
+"""(V0) The form of a vehicle's certificate, which is checked before anything is computed.
+
+Most functions take a value of the file that was not checked before, and raise ``Rejected`` if the value breaks a
+rule. An argument ``place`` names the entry in the message, and ``name`` the channel.
+"""
 
 import math
 from typing import Any, cast
@@ -65,7 +69,7 @@ NOT_COVERED = ("vgsta", "sta")
 
 
 def require_certificate(content: object) -> VehicleCertificate:
-    """Return the content of a file as a certificate whose parts all have the right form; reject anything else."""
+    """Return the content of a file as a certificate if all of its parts have the right form; reject anything else."""
     try:
         certificate = require_entries(content, VehicleCertificate.__required_keys__, "the certificate")
         version = certificate["version"]
@@ -79,7 +83,7 @@ def require_certificate(content: object) -> VehicleCertificate:
 
 
 def require_problem(content: object) -> VehicleProblem:
-    """Return the problem of a vehicle that the theorem covers; reject anything else."""
+    """Return a table as the problem of a vehicle that the theorem covers; reject anything else."""
     problem: dict[str, Any] = require_entries(content, VehicleProblem.__required_keys__, "problem")
     for name in POSITIVE:
         require_positive(problem[name], name)
@@ -122,7 +126,10 @@ def require_positive_interval(content: object, place: str) -> None:
 
 
 def require_channel(content: object, name: str) -> None:
-    """Reject anything but the controller and the start of a channel, whose functions depend on sigma alone."""
+    """Reject anything but the controller and the start of a channel.
+
+    The functions of the controller must be covered: they depend on sigma alone, with a finite slope at 0.
+    """
     channel: dict[str, Any] = require_entries(content, ChannelProblem.__required_keys__, f"channels.{name}")
     require_positive(channel["l0"], f"{name}.l0")
     require_positive(channel["rho"], f"{name}.rho")
@@ -135,7 +142,7 @@ def require_channel(content: object, name: str) -> None:
 
 
 def require_proof(problem: VehicleProblem, content: object) -> None:
-    """Reject anything but a proof whose channels, time cells and channels of the upper limits fit the problem."""
+    """Reject anything but a proof whose channels, time cells and other channels for upper limits fit the problem."""
     proof = require_entries(content, VehicleProof.__required_keys__, "proof")
     channels = require_entries(proof["channels"], set(CHANNELS), "proof.channels")
     for name in CHANNELS:
@@ -151,7 +158,7 @@ def require_proof(problem: VehicleProblem, content: object) -> None:
 
 
 def require_cells(problem: VehicleProblem, content: object) -> None:
-    """Reject anything but positive bounds of all signals in time cells, in the same number of cells for each."""
+    """Reject anything but time cells with positive bounds of all signals, as many for each signal."""
     cells: dict[str, Any] = require_entries(content, CellsProof.__required_keys__, "cells")
     require_count(cells["samples"], MOST_SAMPLES, "cells.samples", f"is no integer from 1 to {MOST_SAMPLES}")
     channels = require_entries(cells["bounds"], set(CHANNELS), "cells.bounds")
@@ -185,7 +192,10 @@ def require_channel_proof(problem: VehicleProblem, name: str, content: object) -
 
 
 def require_linear_channel(problem: VehicleProblem, name: str, proof: dict[str, Any]) -> None:
-    """Reject anything but slopes, share, damping, lambda and P of a linear channel, whose P has the size of z."""
+    """Reject anything but slopes, share, damping, lambda and P of a linear channel, where P fits the state z.
+
+    The channel psi must have no damping by drag.
+    """
     require_numbers(proof["slopes"], 3, f"{name}.slopes")
     require_finite(proof["share"], f"{name}.share")
     require_not_negative(proof["drag_damping"], f"{name}.drag_damping")
