@@ -26,8 +26,8 @@ from dssc_jax.models.wind import NO_WIND
 class BreakPoint(StrEnum):
     """A place at which a channel's loop is broken: its command, its measurement of y, or its measurement of y'.
 
-    A break at ``output`` opens the path of y alone, and a break at ``rate`` the path of y' alone. To open both paths at
-    once is the same as a break at ``input``, because they meet in the channel's one command.
+    A break at ``output`` opens the path of y alone, and a break at ``rate`` opens the path of y' alone. Breaking both
+    at once is the same as breaking at ``input``, because both paths lead to the channel's one command.
     """
 
     INPUT = "input"  # the command
@@ -63,7 +63,7 @@ class BreakPointSensorParams(NamedTuple):
 def with_addition(sensor: Sensor) -> Sensor:
     """A sensor that reads the plant's measurement plus the addition in its :class:`BreakPointSensorParams`.
 
-    So a break point at a measurement is an input of the sensor's parameters.
+    The signal that is added at a break point thus enters the loop as a parameter of the sensor.
     """
 
     def sense(
@@ -78,7 +78,7 @@ def with_addition(sensor: Sensor) -> Sensor:
 def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
     """The loop and its parameters at a constant reference, without disturbances, wind and sensor noise.
 
-    So it can rest at an equilibrium, about which it is linearised.
+    Such a loop can rest at an equilibrium, and is linearised there.
     """
     desired = constant_reference(loop, params)
     undisturbed_loop = replace(
@@ -102,8 +102,8 @@ def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
 def constant_reference(loop: Loop, params: LoopParams) -> ReferencePoint | ReferencePoints:
     """The constant desired outputs at which a loop is linearised.
 
-    For several channels they are the outputs at t = 0, where a vehicle hovers. For one channel it is the constant level
-    of the study's reference (``Reference.level``), or 0 if the reference has none.
+    A loop of several channels keeps the outputs that its plant has at t = 0, where a vehicle hovers. A loop of one
+    channel has the constant level of the study's reference (``Reference.level``), or 0 if the reference has none.
     """
     if len(loop.channels) > 1:
         origin = (ReferencePoint(0.0, 0.0, 0.0),) * len(loop.channels)
@@ -168,9 +168,9 @@ def sample_map(
 
 
 def measured_places(channels: Sequence[str]) -> dict[str, int]:
-    """Index of the break point at each channel's y and y', by their names as measured signals, such as ``x_y``.
+    """Index of the break point at each channel's y and y', by the name of the measured signal, such as ``x_y``.
 
-    A controller may also read y as a measured signal, so an addition at the break point enters there, too.
+    A controller may also read y or y' as a measured signal. Additions at the break point must then enter there, too.
     """
     names = place_names(channels)
     places = {}
@@ -181,9 +181,9 @@ def measured_places(channels: Sequence[str]) -> dict[str, int]:
 
 
 def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:
-    """The state after the first sample as a vector, with which a flight begins along which the loop is linearised.
+    """The state after the first sample, as a vector: the start of a flight along which the loop is linearised.
 
-    It is not the state before that sample, because controllers may treat the first sample unlike all others.
+    The state before that sample would not do, because controllers may treat the first sample unlike all others.
     """
     state, _ = step(loop, params, key, initial_state(loop, params, key), 0)
     vector, _ = ravel_pytree(state)

@@ -88,15 +88,28 @@ def is_angle(loop: Loop, i: int) -> bool:
 
 
 def near_reference(loop: Loop, i: int, measurement: Measurement, reference: ReferencePoint) -> Measurement:
-    """The measurement of channel i; an angle is shifted by whole turns to lie within pi of its reference."""
+    """The measurement of channel i; an angle [rad] is shifted by whole turns to lie within pi of the reference.
+
+    Args:
+        loop: The models and the clock.
+        i: Index of the channel.
+        measurement: The plant's output.
+        reference: The desired output.
+    """
     return measurement._replace(y=turned_near(measurement.y, reference.y)) if is_angle(loop, i) else measurement
 
 
 def unwrap(loop: Loop, i: int, measurement: Measurement, previous: State) -> Measurement:
-    """The measurement of channel i; an angle is shifted by whole turns to lie within pi of the previous one [rad].
+    """The measurement of channel i; an angle is shifted by whole turns to lie within pi of its previous value.
 
-    So the angle is continuous in time, unless it turns by more than pi within a sample. Sensors and differentiators
-    have a memory, which must see no jump by a turn.
+    The result is continuous in time, unless the angle turns by more than pi within a sample. Sensors and
+    differentiators need this, because a jump by a whole turn would disturb their memory.
+
+    Args:
+        loop: The models and the clock.
+        i: Index of the channel.
+        measurement: The measurement at this sample.
+        previous: The angle at the previous sample [rad]; not read if the output is no angle.
     """
     if not is_angle(loop, i):
         return measurement
@@ -129,7 +142,18 @@ def initial_control(
 def first_signals(
     loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint
 ) -> tuple[State, Measurement, ReferencePoint]:
-    """State of channel i's differentiator before its first step, and the controller's two inputs in that step."""
+    """State of channel i's differentiator before its first step, and the controller's two inputs in that step.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        i: Index of the channel.
+        reading: The sensor's reading.
+        reference: The desired output.
+
+    Returns:
+        The differentiator's state, the controller's measurement, and the controller's reference.
+    """
     of_channel = reading._replace(signals=())
     differentiator = loop.differentiator[i].init(params.differentiator[i], of_channel)
     _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, of_channel, loop.sample_time)
@@ -138,7 +162,16 @@ def first_signals(
 
 
 def required_signals(loop: Loop, i: int, readings: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-    """The readings that the controller of channel i asked for, in the order it asked; all if it asked for none."""
+    """The readings that the controller of channel i asks for, in the order in which it asks.
+
+    Args:
+        loop: The models and the clock.
+        i: Index of the channel.
+        readings: The reading of each measured signal of the study.
+
+    Returns:
+        The readings asked for; all of them if the controller asks for none by name.
+    """
     requested_signals = loop.controller[i].signals
     if not requested_signals:
         return readings
@@ -147,10 +180,16 @@ def required_signals(loop: Loop, i: int, readings: tuple[Scalar, ...]) -> tuple[
 
 
 def reference_near_measurement(loop: Loop, i: int, reference: ReferencePoint, sensed: Measurement) -> ReferencePoint:
-    """The controller's reference; that of an angle is shifted by whole turns to lie within pi of the measurement.
+    """The controller's reference; for an angle [rad], it is shifted by whole turns to lie within pi of the measurement.
 
-    The reference is shifted, not the measurement: a controller that differentiates its measurement sees no jump where
-    the reference crosses pi, or steps by more than half a turn.
+    The reference is shifted, and not the measurement. Otherwise a controller that differentiates its measurement would
+    see a jump where the reference crosses pi, or steps by more than half a turn.
+
+    Args:
+        loop: The models and the clock.
+        i: Index of the channel.
+        reference: The desired output.
+        sensed: The controller's measurement.
     """
     if not is_angle(loop, i):
         return reference
@@ -192,6 +231,14 @@ def transfer_control(
     loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint, command: Scalar
 ) -> ControlState | None:
     """The state of channel i whose first step gives ``command`` at this sample, for a bumpless start.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        i: Index of the channel.
+        reading: The sensor's reading at this sample.
+        reference: The desired output at this sample.
+        command: The command that the first step must give.
 
     Returns:
         The state; None if the controller offers no such start.

@@ -46,18 +46,18 @@ class Run(NamedTuple):
 class Progress(NamedTuple):
     """What a time loop over the samples of a draw carries from one sample to the next.
 
-    It contains the sample index, because an array of all indices would grow with the duration.
+    The sample index k is counted here, because an array of all indices would grow with the duration.
 
     Args:
         k: Index of the next sample.
         state: State of the loop.
         accumulators: Accumulators of the metrics.
         outcome: The outcome so far.
-        steps: Samples that the draw has completed.
+        steps: Number of samples that the draw has completed.
         in_band: Number of consecutive samples, up to the last one, with errors small enough to settle; () for a loop
             without a rule for settled draws.
-        violations: Samples at which requirements whose violation is final were first violated, see
-            :func:`~dssc_jax.closed_loop.metrics.requirements.watch`.
+        violations: For each requirement whose violation is final, the number of samples after which it was first
+            violated, see :func:`~dssc_jax.closed_loop.metrics.requirements.watch`.
     """
 
     k: Scalar
@@ -194,9 +194,10 @@ def make_sample_step(
 
 
 def outcome_at_sample(recorded: Recorded) -> tuple[Scalar, Scalar]:
-    """The outcome code of a draw after a sample, and whether the plant's model ends the draw there.
+    """The outcome code of a draw after a sample, and whether the plant's model ends the draw at this sample.
 
-    The model ends it at a singular attitude or on the ground. A state that is not finite comes before both.
+    The model ends a draw at a singular attitude or on the ground. If the state is not finite, the code says so,
+    whatever else has happened.
     """
     integer = integer_type()
     outcome = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
@@ -211,6 +212,11 @@ def select_number(is_completed: Scalar, new: jax.Array, old: jax.Array) -> jax.A
     """The new number of an accumulator if the sample is completed, else the old number.
 
     An array is always replaced by the new one: it holds the delay lines of a formula, which no final value reads.
+
+    Args:
+        is_completed: Whether the draw was running and has completed the sample.
+        new: Leaf of the accumulator after the sample.
+        old: The same leaf before the sample.
     """
     return new if jnp.ndim(new) else jnp.where(is_completed, new, old)
 

@@ -14,7 +14,10 @@ from dssc_jax.core.signals import Measurements, State
 
 
 def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
-    """The loop's state before the first sample; unmodelled dynamics are at rest, with a command of 0 before t = 0."""
+    """The loop's state before the first sample.
+
+    The command before t = 0 is 0, and the unmodelled dynamics are at rest under this command.
+    """
     true_plant = begin_plant(loop, params, key)
     references = loop.mimo_reference.at(params.reference, 0.0)
     at_rest = tuple(model.init(p) for model, p in zip(loop.unmodelled, params.unmodelled, strict=True))
@@ -53,7 +56,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
 
 
 def initial_disturbances(loop: Loop, params: LoopParams, key: jax.Array) -> tuple[tuple[State, ...], tuple[State, ...]]:
-    """States of the disturbances at t = 0: of each channel, and of each named input of the plant."""
+    """States at t = 0 of the disturbances of each channel, and of those at each named input of the plant."""
     disturbances = []
     for model, p, name in zip(loop.disturbance, params.disturbance, loop.channels, strict=True):
         disturbances.append(model.init(p, loop.key_at(key, "disturbance", name, 0)))

@@ -122,10 +122,10 @@ class Assembly(NamedTuple):
 
 
 def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> Assembly:
-    """Put a plant's linear part and the linear unmodelled dynamics before it together as one linear system.
+    """Combine a plant's linear part and the linear unmodelled dynamics before it into one linear system.
 
-    A channel's system z' = A z + b u, y = c z + d u drives the plant by its output: the plant's column g of the command
-    becomes the block g c of the state matrix, and the command itself enters through g d and b.
+    A channel's unmodelled dynamics z' = A z + b u, y = c z + d u drive the plant by their output y. So the plant's
+    column g of the command becomes the block g c of the state matrix, and the command itself enters through g d and b.
 
     Args:
         parts: The models and the clock.
@@ -165,15 +165,15 @@ def insert_system(
     system: LinearSystem,
     offset: int,
 ) -> None:
-    """Put the unmodelled dynamics of one channel between its command and the plant, in place.
+    """Put the unmodelled dynamics of one channel between its command and the plant; changes the arguments in place.
 
     Args:
-        matrix: State matrix of the assembly, shape (n, n); gets the blocks A and g c.
-        command_column: Column of the channel's command, shape (n,), that still drives the plant directly; becomes g d
-            in the plant's rows, and b in the rows of the unmodelled dynamics.
+        matrix: State matrix of the assembly, shape (n, n). The blocks A and g c are written into it.
+        command_column: Column of the channel's command, shape (n,), with the plant's column g in the plant's rows.
+            These rows become g d, and the rows of the unmodelled dynamics become b.
         plant_column: The plant's column g of the command, shape (states of the plant,).
         system: The unmodelled dynamics, with A, b, c and d.
-        offset: Index of their first state.
+        offset: Index of the first state of the unmodelled dynamics.
     """
     end = offset + len(system.a)
     for state, weight in enumerate(system.c):
@@ -188,7 +188,12 @@ def insert_system(
 def find_remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels: int) -> tuple[int, ...]:
     """Indices of the plant's states whose derivatives have a nonlinear remainder; empty for a linear plant.
 
-    A trace of the remainder tells them: its entries for all other states are plain zeros.
+    The remainder is traced once. In the trace, the entries of all states without a remainder are plain zeros.
+
+    Args:
+        plant: The plant.
+        params: Its parameters.
+        channels: Number of channels.
     """
     if plant.remainder is None:
         return ()
@@ -208,9 +213,14 @@ def find_remainder_rows(plant: Plant[Measurements, Signals], params: Params, cha
 
 
 def gather_state(assembly: Assembly, plant: State, states: States) -> list[Scalar]:
-    """The state x of the assembled linear system, length n, from the states of plant and unmodelled dynamics.
+    """The state x of the assembled linear system, length n.
 
-    It lists the numbers of the plant's state, then the numbers of each linear unmodelled dynamics.
+    The numbers of the plant's state come first, then the numbers of each channel's linear unmodelled dynamics.
+
+    Args:
+        assembly: The assembled system.
+        plant: State of the plant.
+        states: State of each channel's unmodelled dynamics; nonlinear dynamics are not a part of x.
     """
     x = jax.tree.leaves(plant)
     for offset, state in zip(assembly.offsets, states, strict=True):
@@ -262,7 +272,10 @@ def etd_step(
     """
 
     def all_inputs(polynomials: Sequence[Sequence[Scalar]]) -> list[Sequence[Scalar]]:
-        """The commands and these polynomials of the varying signals, each with as many terms as its forcing has."""
+        """The input terms of the whole system: those of the commands, then those of the varying signals.
+
+        Each polynomial is cut to as many terms as the forcing of its signal has.
+        """
         terms_of_inputs = list(inputs)
         for polynomial, forcing in zip(polynomials, forcings[len(inputs) :], strict=True):
             terms_of_inputs.append(polynomial[: forcing.terms])

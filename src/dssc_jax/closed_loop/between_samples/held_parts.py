@@ -85,11 +85,16 @@ def make_movers(parts: HeldParts, unmodelled: States, h: float) -> list[Mover]:
 
 
 def make_mover(model: Unmodelled, params: Params, h: float) -> Mover:
-    """Return the function that advances unmodelled dynamics, apart from their linear part, over a step of length h [s].
+    """Return the function that advances the part of unmodelled dynamics that is not linear, over one step.
 
-    That function takes state and command. It returns the next state, and mean and rise over the step of the signal that
-    enters the linear part, or the plant if there is none. A model that does not state mean and rise has its output
-    evaluated at three times, for Simpson's rule.
+    That function takes the state and the command. It returns the next state, and mean and rise over the step of the
+    signal that enters the linear part, or the plant if there is no linear part. If the model does not state mean and
+    rise, they follow from its output at three times, by Simpson's rule.
+
+    Args:
+        model: The unmodelled dynamics.
+        params: Their parameters.
+        h: Length of the step [s].
     """
     if model.advance is not None:
         return model.advance(params, h)
@@ -134,7 +139,12 @@ def apply_movers(movers: Sequence[Mover], states: States, commands: Signals) -> 
 def repeat_substeps(substep: Substep, begin: tuple[State, States], count: int) -> tuple[State, States]:
     """The states of plant and unmodelled dynamics after ``count`` substeps.
 
-    More than :data:`UNROLLED` substeps become a loop whose body is traced once, to keep compilation short.
+    More than :data:`UNROLLED` substeps become a loop, whose body is traced once, to keep compilation short.
+
+    Args:
+        substep: Takes the index of a substep and both states; returns both states after the substep.
+        begin: Both states before the first substep.
+        count: Number of substeps.
     """
     if count > UNROLLED:
         return jax.lax.fori_loop(0, count, lambda i, carry: as_arrays(substep(i, carry)), as_arrays(begin))

@@ -13,9 +13,10 @@ from dssc_jax.core.signals import Params
 
 
 def between_samples(parts: HeldParts, plant: Params, unmodelled: tuple[Params, ...]) -> Advance:
-    """Return the function that advances plant and unmodelled dynamics of one draw by one sample.
+    """Return the function that advances the plant and the unmodelled dynamics of one draw by one sample.
 
-    Call it before the time loop, so that matrices which depend on the parameters alone are computed once for a draw.
+    Call ``between_samples`` before the time loop: matrices that depend on the parameters alone are then computed once
+    for a draw.
 
     Args:
         parts: The models and the clock.

@@ -19,11 +19,11 @@ def initial_accumulators(
 ) -> tuple[Accumulator, ...]:
     """The accumulator of every measure before the first sample.
 
-    A margin of the linearised loop is known by then, and no sample changes it: its value is its accumulator.
+    A margin of the linearised loop is known before the flight, and no sample changes it. Its accumulator is its value.
 
     Args:
         measures: The measures.
-        margins: Value of each margin of the linearised loop among them, by the measure's name.
+        margins: Value of each margin of the linearised loop among the measures, by the measure's name.
     """
     accumulators = []
     for measure in measures:

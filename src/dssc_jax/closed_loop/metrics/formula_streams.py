@@ -35,9 +35,14 @@ EXACT = Extremes(jnp.minimum, jnp.maximum)
 
 
 def smooth_minimum(width: float, a: Scalar, b: Scalar) -> Scalar:
-    """The smooth minimum -w ln(exp(-a/w) + exp(-b/w)) of a width w, which has derivatives everywhere.
+    """The smooth minimum -w ln(exp(-a/w) + exp(-b/w)), which has derivatives everywhere.
 
-    It lies below min(a, b), by at most w ln 2.
+    It lies below min(a, b), by at most w ln 2. The form in the code cannot overflow.
+
+    Args:
+        width: Width w of the smoothing, in the unit of a and b.
+        a: First value.
+        b: Second value.
     """
     return jnp.minimum(a, b) - width * jnp.log1p(jnp.exp(-jnp.abs(a - b) / width))
 
@@ -154,9 +159,9 @@ class Stream:
     def until(self, formula: Until) -> Scalar:
         """The robustness of ``before until goal``.
 
-        Over a sliding window from ``begin`` to ``end`` it combines pairs: the robustness of ``until`` within the
-        window, and the smallest robustness of ``before`` in it. The smallest robustness of ``before`` from the instant
-        to ``begin`` then bounds the result.
+        A sliding window from ``begin`` to ``end`` combines pairs: the robustness of ``until`` within the window, and
+        the smallest robustness of ``before`` in the window. If ``begin`` is later than the instant itself, ``before``
+        must also hold from the instant to ``begin``, so its smallest robustness there bounds the result.
         """
         minimum, maximum = self.extremes
         before, goal = self.aligned((formula.before, formula.goal))

@@ -81,13 +81,13 @@ class LatchedFormula(NamedTuple):
 
 
 def latched_formulas(formula: Formula, at: int = 0) -> Iterator[LatchedFormula]:
-    """The parts of a formula that are needed at one instant only, each of which has a :class:`Latch`.
+    """Yield the parts of a formula whose values are needed at one sample only; each has a :class:`Latch`.
 
-    They are its outermost temporal operators, and the comparisons outside of these.
+    These parts are the outermost temporal operators of the formula, and the comparisons outside of all such operators.
 
     Args:
         formula: The formula.
-        at: The sample at which it is evaluated.
+        at: The sample at which the formula is evaluated.
     """
     match formula:
         case Not() | And() | Or():
@@ -108,14 +108,14 @@ def initial_latch(latched: LatchedFormula) -> Latch:
 def next_latch(latched: LatchedFormula, latch: Latch, stream: Stream, k: Scalar) -> Latch:
     """The latch of a formula after sample k.
 
-    ``always`` keeps the smallest, ``eventually`` and ``until`` keep the largest robustness in their interval. The first
-    violation decides ``always``, the first success decides the others, and ``until`` also fails for good once
-    ``before`` has failed.
+    ``always`` keeps the smallest robustness in its interval; ``eventually`` and ``until`` keep the largest. The first
+    violation decides ``always``, and the first success decides the other two. ``until`` is also decided once ``before``
+    has failed: it can never hold again.
 
     Args:
-        latched: The formula, a temporal operator or a comparison, and the sample at which it is needed.
+        latched: The formula, a temporal operator or a comparison, and the sample at which its value is needed.
         latch: The latch before the sample.
-        stream: Evaluates the formula's parts, with a delay by the longest of their horizons.
+        stream: Evaluates the formula's parts, delayed by the longest of their horizons.
         k: Index of the sample.
     """
     formula = latched.formula

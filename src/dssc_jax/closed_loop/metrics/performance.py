@@ -36,7 +36,13 @@ def magnitude_of_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
 
 
 def update_timed_error(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-    """Add |e| times the time since the window's start."""
+    """Add |e| times the time since the window's start.
+
+    Args:
+        acc: Sum so far.
+        sample: The sample.
+        window: The window, which starts at ``window.after`` [s].
+    """
     return acc + (sample.k * sample.dt - window.after) * jnp.abs(sample.e)
 
 
@@ -53,13 +59,19 @@ class ErrorBeyondZero(NamedTuple):
 
 
 def update_overshoot(acc: ErrorBeyondZero, sample: Sample, window: Window) -> ErrorBeyondZero:
-    """Note the sign of the first error, and the size of the largest error of the opposite sign."""
+    """Note the sign of the first error, and the size of the largest error of the opposite sign.
+
+    A side of 0 means that all errors so far were 0. The contract's ``window`` is not read.
+    """
     side = jnp.where(acc.side == 0.0, sign(sample.e), acc.side)
     return ErrorBeyondZero(side, jnp.maximum(acc.largest, -side * sample.e))
 
 
 def largest_error_beyond_zero(acc: ErrorBeyondZero, window: Window, span: Span) -> Scalar:
-    """Size of the largest error on the other side of zero."""
+    """Size of the largest error whose sign is opposite to that of the first error.
+
+    The accumulator holds it; the contract's ``window`` and ``span`` are not read.
+    """
     return acc.largest
 
 
@@ -84,7 +96,8 @@ class CommandBands(NamedTuple):
 def update_bands(acc: CommandBands, sample: Sample, window: Window) -> CommandBands:
     """Split the sample's command by a first-order low-pass filter, and add the energies of both parts.
 
-    The filter starts at the window's first command.
+    The filter starts at the window's first command. Its corner is the window's chattering frequency [Hz]; 0 selects a
+    fixed share of the sampling frequency.
     """
     frequency = window.chattering or SHARE_OF_SAMPLING / sample.dt  # [Hz]; 0 in the window: its default
     share = -jnp.expm1(-2.0 * math.pi * frequency * sample.dt)  # of the way to the command in one sample
@@ -96,7 +109,8 @@ def update_bands(acc: CommandBands, sample: Sample, window: Window) -> CommandBa
 def fast_share(acc: CommandBands, window: Window, span: Span) -> Scalar:
     """Share of the command's energy that lies above the chattering frequency; 0 for a constant command.
 
-    The energy of the slow part is counted about its mean, so that a constant command has none.
+    The energy of the slow part is counted about its mean, so that a constant command has none. The contract's
+    ``window`` is not read.
     """
     slow_energy = jnp.maximum(acc.squares - acc.total * acc.total / span.sample_count, 0.0)
     energy = acc.fast + slow_energy
@@ -124,7 +138,7 @@ def update_amplification(acc: CommandAndNoise, sample: Sample, window: Window) -
 def amplification(acc: CommandAndNoise, window: Window, span: Span) -> Scalar:
     """rms of the command above the chattering frequency over the rms of the measurement error of sigma.
 
-    It is 0 for an exact measurement.
+    The value is 0 if the measurement is exact. The number of samples cancels, so ``span`` is not read.
     """
     is_noisy = acc.noise > 0.0
     return root_abs(jnp.where(is_noisy, acc.command.fast / jnp.where(is_noisy, acc.noise, 1.0), 0.0))
@@ -145,9 +159,10 @@ class DriftSum(NamedTuple):
 
 
 def update_drift(acc: DriftSum, sample: Sample, window: Window) -> DriftSum:
-    """Add g(sigma_k) (n_k - n_(k-1)), which moves the command, for the measurement error n of sigma.
+    """Add g(sigma_k) (n_k - n_(k-1)), the move of the command by the change of the measurement error n of sigma.
 
-    g = 1/(k_o tau_av) is the controller's gain at the measured sigma. The first sample has no change, and adds nothing.
+    g = 1/(k_o tau_av) is the controller's gain at the measured sigma. The window's first sample has no previous one,
+    and adds nothing.
     """
     noise = sample.sigma_measured - sample.sigma  # n_k
     step = (noise - acc.previous) * sample.info.integral_gain * sample.info.tau_m  # their product is g
@@ -180,7 +195,7 @@ def update_path(acc: CommandPath, sample: Sample, window: Window) -> CommandPath
 
 
 def path_length(acc: CommandPath, window: Window, span: Span) -> Scalar:
-    """The total variation of the command u + u_n over the window."""
+    """The total variation of the command u + u_n over the window, which the accumulator holds."""
     return acc.length
 
 
@@ -203,7 +218,10 @@ def update_trend(acc: LogTrend, sample: Sample, window: Window) -> LogTrend:
 
 
 def growth_rate(acc: LogTrend, window: Window, span: Span) -> Scalar:
-    """Least-squares slope of ln |sigma| over time [1/s]: positive if the oscillation grows."""
+    """Least-squares slope of ln |sigma| over time [1/s]: positive if the oscillation grows.
+
+    ``span`` gives the number of samples and their indices; the contract's ``window`` is not read.
+    """
     n = 1.0 * span.sample_count  # a real number, also if the draw decides the count and it is traced
     centre = span.steps - n + 0.5 * (n - 1.0)  # mean of the indices k
     spread = at_least(n * (n**2 - 1.0) / 12.0, 1.0)  # sum of (k - centre)^2; 1 for a single sample

@@ -40,7 +40,7 @@ class Requirement:
     def label(self) -> str:
         """Name among the study's requirements: the measure's name, with ``_min`` for a lower bound on a metric.
 
-        So a metric may have both an upper and a lower bound. A formula has one bound only, and keeps its name.
+        The ending lets a metric have both an upper and a lower bound. A formula has one bound only, and keeps its name.
         """
         is_lower_bound = self.maximum is None and not self.formula
         return f"{self.measure.name}_min" if is_lower_bound else self.measure.name
@@ -59,7 +59,7 @@ class Requirement:
     def violation_is_final(self) -> bool:
         """Whether a violated bound stays violated, so that each sample is checked for the first violation.
 
-        It does if the metric only rises and has a maximum, or only falls and has a minimum.
+        A violation is final if the metric can only rise and has a maximum, or can only fall and has a minimum.
         """
         towards_bound = Course.RISES if self.maximum is not None else Course.FALLS
         return self.measure.metric.course == towards_bound
@@ -71,9 +71,9 @@ class Requirement:
 
     @property
     def scale(self) -> float:
-        """Size by which a slack is divided, so that the slacks of different requirements compare: usually |bound|.
+        """Size by which a slack is divided, to make the slacks of different requirements comparable: usually |bound|.
 
-        A bound of 0 has no size; the typical slack then takes its place, or 1 if there is none.
+        A bound of 0 gives no size. The typical slack then takes its place, or 1 if the typical slack is unknown.
         """
         return abs(self.bound) or self.typical_slack or 1.0
 
@@ -133,7 +133,12 @@ def with_typical_slacks(
 
 
 def counted_places(requirements: Sequence[Requirement], label: str) -> list[int]:
-    """Find the indices of the requirements that count as failures: those with a label, or all if the label is empty."""
+    """Find the indices of the requirements that count as failures.
+
+    Args:
+        requirements: The requirements.
+        label: Label of the requirements that count; empty: all count.
+    """
     return [index for index, requirement in enumerate(requirements) if label in ("", requirement.label)]
 
 
@@ -190,18 +195,21 @@ def certain_violations(
     steps: Scalar,
     sample_time: float,
 ) -> dict[str, Scalar]:
-    """Count the samples after which the violation of each requirement was certain, by label, if it is violated.
+    """Count the samples after which the violation of each requirement, if it is violated, was certain.
 
-    A violation that is final is certain at once. A formula tells the sample itself. The violation of any other
+    A final violation is certain as soon as it occurs. A formula tells the sample itself. The violation of any other
     requirement is certain at the end of its window.
 
     Args:
         requirements: The requirements.
         measures: All measures.
-        accumulators: Their accumulators at the end of the draw.
+        accumulators: Accumulator of each measure at the end of the draw.
         violations: Result of :func:`watch` at the end of the draw.
         steps: Number of samples of the draw.
         sample_time: T_s [s].
+
+    Returns:
+        The number of samples by the requirement's label; it means nothing if the requirement is met.
     """
     accumulator_of = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
     final_violations = iter(violations)
