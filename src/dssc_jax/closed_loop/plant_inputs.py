@@ -27,7 +27,16 @@ def receive_command(
 ) -> State:
     """The state of channel i's unmodelled dynamics once they have received the command of sample k.
 
-    Dynamics that act once a sample, such as a computer's delay or quantiser, change their state here.
+    Only dynamics that act once per sample, such as a computer's delay or quantiser, change their state here.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        key: The draw's random key.
+        unmodelled: The state before the sample.
+        i: Index of the channel.
+        command: The command of sample k.
+        k: Index of the sample.
     """
     sample_key = loop.key_at(key, "unmodelled", loop.channels[i], k + 1)
     return loop.unmodelled[i].sample(params.unmodelled[i], unmodelled, command, sample_key, loop.sample_time)

@@ -95,10 +95,11 @@ def require_forms_of_steps(loop: Loop, state: LoopState, next_state: LoopState) 
 
 
 def require_repeatable(loop: Loop, params: LoopParams) -> None:
-    """Require that every trace of the first sample gives the same program, as it does if all parts are pure functions.
+    """Require that two traces of the first sample give the same program, as they do if all parts are pure functions.
 
     Raises:
-        ConfigError: Two traces differ: a user's function draws random numbers of its own, reads a clock, or counts.
+        ConfigError: The traces differ, because a user's function draws random numbers, reads a clock, or counts its
+            calls.
     """
 
     def program() -> Callable[[], tuple[LoopState, State, LoopState]]:

@@ -37,10 +37,10 @@ def first_difference(program: Callable[[], Callable[[], Any]]) -> list[CodeType]
 
 
 def different_equation(first: ClosedJaxpr, second: ClosedJaxpr) -> JaxprEqn | None:
-    """The first equation of a program that differs from its counterpart in the second; None if all are equal.
+    """The first equation of a program that differs from its counterpart in the second program; None if all are equal.
 
-    An equation also differs if it reads a constant that has another value in the second program. Programs within an
-    equation, such as the body of a loop, are searched first.
+    An equation also differs if it reads a constant whose value is another one in the second program. Programs within an
+    equation, such as the body of a loop, are searched first, so that the innermost difference is found.
     """
     different_constants = set()
     for variable, value, second_value in zip(first.jaxpr.constvars, first.consts, second.consts, strict=False):

@@ -150,10 +150,11 @@ def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
 
 
 def all_finite(state: LoopState) -> Scalar:
-    """Whether the loop's state has not diverged: its numbers add up to so little that squares of signals are finite.
+    """Whether the loop's state has not diverged: its numbers have a sum so small that squares of signals stay finite.
 
-    One sum costs less than a test of each number, and a number that is infinite or NaN makes it so. The commands that
-    reach the plant are left out, because they follow from other states.
+    One sum costs less than a test of each number, and an infinite or NaN number makes the sum infinite or NaN. Words of
+    memory, such as those of a controller in C, are no numbers and are left out. The commands that reach the plant are
+    left out because they follow from other states.
     """
     state = state._replace(channels=tuple(channel._replace(reaching=0.0) for channel in state.channels))
     largest = float(jnp.finfo(jnp.result_type(float)).max)
@@ -175,8 +176,6 @@ def control_channel(
 ) -> tuple[ChannelState, ControlResult]:
     """Run sensor, differentiator and controller of channel i at sample k, and advance its disturbance's state.
 
-    The result is the channel's next state, without the unmodelled dynamics, and what its flight computer read and sent.
-
     Args:
         loop: The models and the clock.
         params: Their parameters.
@@ -187,6 +186,10 @@ def control_channel(
         signals: Readings of the measured signals.
         reference: The desired output.
         k: Index of the sample.
+
+    Returns:
+        The channel's next state, in which the unmodelled dynamics are not yet advanced, and the inputs and outputs of
+        the channel's flight computer.
     """
     t = k * loop.sample_time
     dt = loop.sample_time
@@ -332,7 +335,13 @@ def step(
     disturbances = (*(channel.disturbance for channel in channels), *inputs)
 
     def drive_at(plant: State, actuation: Signals, time: Scalar) -> PlantInput[Signals]:
-        """The plant's input at a time [s] within the sample, with the commands that reach the plant then."""
+        """The plant's input at a time within the sample.
+
+        Args:
+            plant: The plant's state at that time.
+            actuation: The command of each channel that reaches the plant at that time.
+            time: The time [s].
+        """
         return plant_input(loop, params, disturbances, wind, plant, actuation, time, condition)
 
     plant, next_unmodelled = advance(drive_at, state.plant, unmodelled_states, held_commands, t)

@@ -73,7 +73,10 @@ def scan_segments(sample: Callable[[C], C], first_carry: C, steps: int, segment:
     """
 
     def repeat(advance: Callable[[C], C], carry: C, count: int) -> C:
-        """The carry after ``count`` calls; a scan that records nothing (None)."""
+        """The carry after ``count`` calls of ``advance``.
+
+        The scan counts the calls; its body returns None in place of a record.
+        """
         end, _ = jax.lax.scan(lambda carry, _: (advance(carry), None), carry, length=count)
         return end
 

@@ -49,13 +49,13 @@ class Evaluator:
 
     Args:
         study: The study; its sweep is ignored.
-        extents: The numbers that have a value of their own in every lane, each with its lowest and highest value. Both
-            are checked like values of a sweep. The values replace the number's law.
-        lanes: Most lanes of a batch.
+        extents: Lowest and highest value of each number that is set separately in every lane. Both ends are checked
+            like values of a sweep. The values that lanes set replace the number's law.
+        lanes: Largest number of lanes of a batch.
 
     Raises:
-        ConfigError: A name is not a number of the loop, an end is not admissible, or values between are no whole
-            numbers where the loop needs them.
+        ConfigError: A name is not a number of the loop, an end is not admissible, or the loop needs whole numbers where
+            values between the ends are none.
     """
 
     study: Study
@@ -183,11 +183,12 @@ class GradientEvaluator(Evaluator):
 
     The derivatives are additional results with keys of type :class:`Derivative`. Forward mode computes each lane once
     for each number, and its memory does not grow with the duration. Reverse mode takes one backward pass for each
-    metric and slack, however many numbers there are; it stores the state at about sqrt(steps) samples and recomputes
-    those between. Margins of the linearised loop are differentiated by central differences.
+    metric and slack, for any count of numbers. To save memory, it stores the state at about sqrt(steps) samples only,
+    and computes the samples between them again. Margins of the linearised loop are differentiated by central
+    differences.
 
     Args:
-        names: The numbers to differentiate by.
+        names: Dotted names of the numbers to differentiate by.
         reverse: Whether to use reverse mode.
 
     Reference:
@@ -200,7 +201,8 @@ class GradientEvaluator(Evaluator):
     def compiled(self) -> Engine:
         """The engine of the program with derivatives.
 
-        Forward mode has a lane for each draw and number. Reverse mode runs as plain XLA, which can differentiate it.
+        Forward mode has a lane for each draw and number. Reverse mode runs as plain XLA, because only plain XLA can be
+        differentiated backwards.
         """
         if self.reverse:
             program = partial(reverse_mode, names=self.names)
@@ -297,7 +299,7 @@ def metrics_and_slacks(
 def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, Scalar]) -> dict[Any, Scalar]:
     """Join results and derivatives in one pytree.
 
-    It is an OrderedDict, because JAX would sort the keys of a dict, and strings and derivatives have no order.
+    It is an OrderedDict: JAX would sort the keys of a dict, but strings and derivatives cannot be ordered.
     """
     return OrderedDict([*results.items(), *slopes.items()])
 
@@ -324,7 +326,11 @@ def forward_mode(study: Study, names: Sequence[str]) -> Lane:
 def reverse_mode(study: Study, names: Sequence[str]) -> Lane:
     """Return the program of a lane in reverse mode: one backward pass for each metric and slack.
 
-    Checkpoints about every sqrt(steps) samples keep its memory small.
+    Checkpoints about every sqrt(steps) samples keep the memory small.
+
+    Args:
+        study: The study.
+        names: Dotted names of the numbers to differentiate by.
     """
     plain = lane_of_study(study, axis_name=None, segment=math.isqrt(study.loop.steps))
 

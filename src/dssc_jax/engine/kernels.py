@@ -53,10 +53,10 @@ def requested_form(choice: str = "") -> str:
     """The form to use: the choice, else the environment's choice, else ``lanes`` on a CPU and ``scan`` on a GPU.
 
     Args:
-        choice: Name of a form; empty: no choice.
+        choice: Name of a form; empty: the environment variable :data:`KERNEL_VARIABLE` decides.
 
     Raises:
-        ConfigError: There is no such form, or the machine has no GPU for it.
+        ConfigError: There is no such form, or the form needs a GPU and the machine has none.
     """
     choice = choice or os.environ.get(KERNEL_VARIABLE, "")
     if not choice:

@@ -47,7 +47,10 @@ class PlainBatch:
     def __init__(
         self, lane: Callable[..., Any], names: Sequence[str], lanes: int, tile: int | None, devices: int | None
     ) -> None:
-        """Divide the batch into tiles, as many for each device, and compile the program."""
+        """Divide the batch into tiles, the same number for each device, and compile the program.
+
+        The arguments are those of the class.
+        """
         usable = jax.devices()[:devices]
         share = math.ceil(lanes / len(usable))  # lanes of a device
         most = min(share, LANES) if usable[0].platform == "cpu" else share

@@ -78,6 +78,10 @@ def drawn_values(study: Study, indices: np.ndarray) -> Arrays:
     """Values of all uncertain and swept numbers in n draws, by name, shape (n,) each.
 
     A swept number has the first value of its sweep.
+
+    Args:
+        study: The study.
+        indices: Draw indices, shape (n,).
     """
     first_point = [np.zeros(len(indices), int)] * len(study.axes)
     return lane_numbers(study, (*first_point, indices))

@@ -104,7 +104,14 @@ def recompute(study: Study, lanes: Lanes) -> Arrays:
 def perturbed_copies(study: Study, lanes: Lanes) -> list[Arrays]:
     """Results of :data:`COPIES` copies of n lanes by the plain program, with every number changed in its last bits.
 
-    Their differences tell how much the loop amplifies rounding.
+    The differences between the copies tell how much the loop amplifies rounding.
+
+    Args:
+        study: The study.
+        lanes: Indices of the lanes along each axis of the sweep and along the draws, shape (n,) each.
+
+    Returns:
+        The results of each copy by name, shape (n,) each.
     """
     *_, draws = lanes
     count = len(draws)
@@ -130,7 +137,12 @@ def perturbed_copies(study: Study, lanes: Lanes) -> list[Arrays]:
 def stored_lanes(dataset: xr.Dataset, names: Iterable[str], lanes: Lanes) -> Arrays:
     """Some variables of a stored result at n lanes, by name, shape (n,) each.
 
-    A drawn number is stored once for each draw, because it does not depend on the sweep.
+    A drawn number does not depend on the sweep, so the result stores it once for each draw.
+
+    Args:
+        dataset: The stored result.
+        names: Names of the variables.
+        lanes: Indices of the lanes along each axis of the sweep and along the draws, shape (n,) each.
     """
     *_, draws = lanes
     columns = {}
@@ -181,7 +193,8 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
 def resting_metrics(study: Study, sizes: Mapping[str, float], spreads: Mapping[str, np.ndarray]) -> list[str]:
     """Names of the metrics that consist of rounding errors only, such as the error of a channel at rest.
 
-    Such a metric is far smaller than all others, whatever the units, and rounding changes it too much to be evidence.
+    Such a metric is far smaller than the largest metric, and rounding changes it too much for it to be evidence. Units
+    do not matter, because the ratio of the two sizes is extreme.
 
     Args:
         study: The study.
@@ -203,9 +216,9 @@ def deviations(
 ) -> Arrays:
     """Relative deviation of computed from stored variables, by name, shape (n,) each.
 
-    It is relative to the stored value or to the variable's typical size, whichever is larger. A difference of one
-    sample counts as none, because rounding can move an event by a sample. Two NaN are equal. The deviation is infinite
-    for different outcomes, and where only one of two values is finite.
+    It is relative to the stored value or to the variable's typical size, whichever is larger. Rounding can move an
+    event by one sample, so the change of a variable by one sample is subtracted. Two NaN are equal. The deviation is
+    infinite for different outcomes, and where only one of two values is finite.
 
     Args:
         study: The study.

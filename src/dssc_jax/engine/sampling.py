@@ -46,7 +46,13 @@ def level_program() -> CompiledLanes:
     """
 
     def level(seed: jax.Array, index: jax.Array, stream: jax.Array) -> jax.Array:
-        """The level of the number with this stream in one draw, float64."""
+        """The level of one number in one draw, uniform in [0, 1), float64.
+
+        Args:
+            seed: Seed of the study.
+            index: Index of the draw.
+            stream: The number's stream of random words.
+        """
         return jax.random.uniform(jax.random.fold_in(draw_key(seed, index), stream), dtype=jnp.float64)
 
     word = jax.ShapeDtypeStruct((), np.uint32)
@@ -69,7 +75,13 @@ def uniform(seed: int, streams: tuple[int, ...], indices: np.ndarray) -> np.ndar
 
 
 def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Points of the unit cube for the design ``random``: independent draws, shape (n, streams)."""
+    """Points of the unit cube for the design ``random``: independent draws, shape (n, streams).
+
+    Args:
+        study: The study, for its seed.
+        streams: The random stream of each uncertain number.
+        indices: Draw indices, shape (n,).
+    """
     return uniform(study.config.seed, streams, indices)
 
 
@@ -103,7 +115,12 @@ def sobol_points(dimension: int, start: int, end: int, words: Sequence[int]) -> 
 def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
     """Points of the unit cube for the design ``sobol``, shape (n, streams).
 
-    Each replicate has a scrambled Sobol sequence of its own, and every R-th draw belongs to it.
+    Each of R replicates has its own scrambled Sobol sequence; draw i belongs to replicate i mod R.
+
+    Args:
+        study: The study, for its seed and replicates.
+        streams: The random stream of each uncertain number; only their count is used.
+        indices: Draw indices, shape (n,).
     """
     points = np.empty((len(indices), len(streams)))
     position, replicate = np.divmod(indices, study.config.replicates)
@@ -120,7 +137,14 @@ def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray
 def latin_design(seed: int, streams: tuple[int, ...], replicates: int, draws: int) -> np.ndarray:
     """All points of a study's Latin hypercubes, shape (draws, streams).
 
-    Each uncertain number has designs of one dimension, from its own stream, so that no other number changes them.
+    Each uncertain number has designs of one dimension from its own random stream, so that adding another number changes
+    none of its values.
+
+    Args:
+        seed: Seed of the study.
+        streams: The random stream of each uncertain number.
+        replicates: Number of independent hypercubes.
+        draws: Number of draws, a multiple of ``replicates``.
     """
     from scipy.stats import qmc
 
@@ -135,7 +159,12 @@ def latin_design(seed: int, streams: tuple[int, ...], replicates: int, draws: in
 def replicated_latin(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
     """Points of the unit cube for the design ``lhs``, shape (n, streams): one Latin hypercube for each replicate.
 
-    They depend on the study's number of draws.
+    The points of all draws change if the study's number of draws changes.
+
+    Args:
+        study: The study.
+        streams: The random stream of each uncertain number.
+        indices: Draw indices, shape (n,).
     """
     config = study.config
     return latin_design(config.seed, streams, config.replicates, config.draws)[indices]
@@ -176,7 +205,7 @@ def inside_cube(points: np.ndarray) -> np.ndarray:
 def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
     """Values of the uncertain numbers at points of the unit cube.
 
-    A Gaussian copula correlates them: it mixes the scores, the standard normal quantiles of the coordinates.
+    A Gaussian copula correlates the coordinates: it mixes their scores, which are standard normal quantiles.
 
     Args:
         study: The study.

@@ -29,10 +29,13 @@ class AnyFailures:
     interval: tuple[float, float]
 
     def unit_shift_length(self, free: np.ndarray) -> float:
-        """Largest Euclidean length, in independent scores, of shifts by one standard deviation in every changed law.
+        """Largest Euclidean length, in independent scores, of a shift by one standard deviation in every changed law.
 
-        The squared length is s' P s, with the signs s of the shifts and the precision matrix P. The sum of |P_ij| is
-        its largest value without correlations, and an upper bound with them.
+        The squared length is s' P s, where s holds the signs of the shifts and P is the precision matrix. Its bound is
+        the sum of |P_ij|, which is exact without correlations, and may be too large with them.
+
+        Args:
+            free: Whether the law of each number may change, shape (numbers,).
         """
         precision = self.precision[np.ix_(free, free)]
         return float(np.sqrt(np.abs(precision).sum()))

@@ -89,7 +89,7 @@ class SecondOrder(NamedTuple):
         """Transition matrices of the state over w time constants T, shape (n, 2, 2).
 
         Args:
-            w: Shape (n,).
+            w: Duration in time constants T, shape (n,).
         """
         cosine, sine = self.oscillation(w)
         output = [cosine + self.damping * sine, sine]
@@ -97,7 +97,7 @@ class SecondOrder(NamedTuple):
         return np.array([output, rate]).transpose(2, 0, 1)
 
     def oscillation(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The functions exp(-zeta w) cos(nu w) and exp(-zeta w) sin(nu w)/nu of w time constants, of its shape each."""
+        """The functions exp(-zeta w) cos(nu w) and exp(-zeta w) sin(nu w)/nu of w time constants, each of w's shape."""
         nu = math.sqrt((1.0 - self.damping) * (1.0 + self.damping))
         decay = np.exp(-self.damping * w)
         return decay * np.cos(nu * w), decay * w * np.sinc(nu * w / np.pi)
@@ -149,10 +149,14 @@ class Drift(NamedTuple):
         return w - 3.0 + (4.0 * (1.0 - decay) - 0.5 * (1.0 - decay**2)) / w
 
     def covariance(self, first: np.ndarray | float, second: np.ndarray | float) -> np.ndarray:
-        """Covariance of the drift between two times since its start [s], of their broadcast shape.
+        """Covariance of the drift p between two times, of the times' broadcast shape.
 
-        From the earlier time on, p is expected to change by v (1 - exp(-w)) over w time constants T, with the v of that
-        time.
+        Given the rate v at the earlier time, p is expected to change by v (1 - exp(-w)) over the next w time constants
+        T.
+
+        Args:
+            first: Time since the start of the drift [s].
+            second: The other time [s], earlier or later.
         """
         earlier = np.minimum(first, second) / self.time
         relaxation = -np.expm1(-np.abs(first - second) / self.time)
@@ -162,7 +166,7 @@ class Drift(NamedTuple):
 def drift_variance(w: np.ndarray) -> np.ndarray:
     """Variance 2 w - 3 + 4 exp(-w) - exp(-2 w) of an unscaled drift after w time constants, of the shape of w.
 
-    For small w the terms cancel, and their power series takes their place.
+    For small w the terms cancel; there the power series of the sum is used.
     """
     decay = np.exp(-w)
     # of w^3, w^4, ...
@@ -341,11 +345,11 @@ class NoiseFit(NamedTuple):
 
 
 def fit_noise(noise: Noise, times: np.ndarray, columns: np.ndarray, floor: float = 0.0) -> NoiseFit:
-    """Generalised least squares of a residual under a noise: restricted likelihood and normal equations.
+    """Fit numbers to a residual under a given noise, by generalised least squares and restricted likelihood.
 
-    The fitted numbers and the variance of the noise are integrated out, with flat priors of the numbers and of the
-    logarithm of the variance. Directions in which the residual does not depend on the numbers are left out. The
-    variance is its posterior mean.
+    The fitted numbers and the variance of the noise are integrated out, under flat priors for the numbers and for the
+    logarithm of the variance. Directions of the numbers on which the residual does not depend are left out. The
+    returned variance is the posterior mean.
 
     Args:
         noise: Correlation of the noise; its variance is estimated.

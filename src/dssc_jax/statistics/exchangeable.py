@@ -22,10 +22,10 @@ ROUNDING = 1e-12  # share of the largest signal's size below which a signal coun
 
 
 def spread_signals(curves: np.ndarray, tested: np.ndarray) -> np.ndarray:
-    """Whether each signal has spread: at least two of all n + 1 curves differ from their pointwise median in it.
+    """Whether each signal has spread: at least two of all n + 1 curves differ from the pointwise median in this signal.
 
-    Otherwise, or if a signal is rounding beside the other signals, rounding alone would decide the rank. The selection
-    does not depend on the order of the curves, so the test remains exact.
+    A signal without spread, or one as small as the rounding of the other signals, is left out, because rounding alone
+    would decide its ranks. The selection does not depend on the order of the curves, so the test remains exact.
 
     Args:
         curves: Shape (n, signals, times). NaN: the curve has ended.
@@ -135,9 +135,9 @@ def columns_with_spread(largest: np.ndarray) -> list[np.ndarray]:
 def continuous_ranks(largest: np.ndarray) -> np.ndarray:
     """Ranks of the curves in each signal, in which the most extreme curve ranks below 1 by its lead.
 
-    They are the ranks of :func:`departure_ranks`, except for a curve that is alone at the first rank. Its rank is
-    exp(-g), where g is the gap from the first to the second curve, relative to the distance from the second to the
-    last.
+    The ranks are those of :func:`departure_ranks`, except for a curve that is alone at the first rank. Such a curve has
+    the rank exp(-g). The gap g is the lead of the first curve over the second, divided by the distance from the second
+    to the last.
 
     Args:
         largest: Largest departures, NaN in a signal without spread, shape (n + 1, signals).

@@ -120,9 +120,14 @@ class Shift(Change):
         return float(amounts @ self.precision @ amounts)
 
     def log_second_moment_bound(self, size: float, free: np.ndarray) -> float:
-        """Upper bound of d' R^-1 d, the logarithm of the mean squared weight, over all |d_i| <= size of free numbers.
+        """Upper bound of d' R^-1 d over all shifts d of the free numbers with |d_i| <= size.
 
-        It is the squared size times the sum of |entry| over the entries of R^-1 of these numbers.
+        d' R^-1 d is the logarithm of the mean squared weight. The bound is the squared size times the sum of |entry|
+        over the entries of R^-1 that belong to the free numbers.
+
+        Args:
+            size: Largest shift [standard deviations].
+            free: Whether the law of each number may change, shape (numbers,).
         """
         return size**2 * float(np.abs(self.precision[np.ix_(free, free)]).sum())
 

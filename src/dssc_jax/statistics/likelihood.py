@@ -12,7 +12,7 @@ from scipy import special
 
 
 class Likelihood(NamedTuple):
-    """How likely a draw is, by the distance of its scores from the most likely draw, which has the score 0 everywhere.
+    """How likely a draw is, by the distance of its scores from the most likely draw, whose scores are all 0.
 
     Args:
         distance: Euclidean norm k of the independent standard normal scores; the draw lies "at k sigma".

@@ -28,12 +28,12 @@ BRACKET = 0.05  # half-width of the first bracket around the single-look limit, 
 
 
 class Look(NamedTuple):
-    """A look of a multistage test, at which failures are counted: its number of draws and its boundaries.
+    """A look of a multistage test: a number of draws at which failures are counted, and its boundaries.
 
     Args:
         draws: Number of draws n at which failures are counted.
-        lower: The test stops with at most this number of failures; -1: it does not stop below.
-        upper: The test stops with at least this number of failures; n + 1: it does not stop above.
+        lower: The test stops with at most this number of failures; -1: there is no lower boundary.
+        upper: The test stops with at least this number of failures; n + 1: there is no upper boundary.
     """
 
     draws: int
@@ -89,11 +89,11 @@ def binomial(draws: int, probability: float) -> Counts:
 def stops_by(looks: Sequence[Look], failures: int, probability: float) -> float:
     """Probability that the test stops at or before a given stop, in the order of stops from few failures to many.
 
-    The given stop is at the last look, and not at the upper boundary. At or before it are the stops at the lower
-    boundary of earlier looks, and the stops at the last look with at most ``failures``.
+    The given stop is at the last look, below its upper boundary. In the order it follows the stops at the lower
+    boundary of all earlier looks. Stops at the last look come in the order of their failures, up to ``failures``.
 
     Args:
-        looks: All looks up to the look of the stop.
+        looks: All looks up to and including the look of the stop.
         failures: Number of failures at the stop.
         probability: Failure probability of a draw, in (0, 1).
     """
@@ -161,7 +161,10 @@ def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
 
 
 def stopped_high(looks: Sequence[Look], failures: int) -> bool:
-    """Whether the test stopped at the upper boundary of its last look."""
+    """Whether the test stopped at the upper boundary of its last look.
+
+    Where the boundaries meet, a number of failures on both counts as a stop at the lower boundary.
+    """
     final = looks[-1]
     return failures >= final.upper and failures > final.lower
 

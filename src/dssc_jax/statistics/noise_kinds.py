@@ -48,7 +48,11 @@ class TimeScale(NamedTuple):
     def time_constant_at(self, score: float) -> float:
         """Time constant [s] at a standard normal score of its prior law.
 
-        The law is log-normal, with its median at the geometric mean of gap and span, within 0.1 gap and 3 span.
+        The law is log-normal with its median at the geometric mean of gap and span. Values are limited to the range
+        from 0.1 gap to 3 span.
+
+        Args:
+            score: The standard normal score; 0 gives the median.
         """
         middle = 0.5 * math.log(self.gap * self.span)
         width = math.log(self.span / self.gap) / TIME_WIDTHS

@@ -48,12 +48,11 @@ class Candidate(NamedTuple):
 class NoisePosterior(NamedTuple):
     """Posterior law of the noise of a channel's residual.
 
-    The kinds are white noise, those of :data:`NOISE_KINDS`, and noise of the shape that simulations of a disturbance
-    show.
+    The noise may be white, of a kind in :data:`NOISE_KINDS`, or of the shape that simulations of a disturbance show.
 
     Args:
         likeliest: Noise at the mode of the likeliest kind.
-        fit: Least squares of the residual under that noise.
+        fit: Least squares of the residual under the likeliest noise.
         white: Posterior probability that the noise is white.
         candidates: Samples of the posterior law; the sum of their weights is 1.
     """
@@ -260,7 +259,14 @@ class NoiseSearch:
         return self.with_least_white(kind.noise_at(point, self.scale), fit)
 
     def with_least_white(self, noise: Noise, fit: NoiseFit) -> tuple[Noise, NoiseFit]:
-        """Raise the white part of a noise to its least variance, and repeat the least squares with that noise."""
+        """Raise the white part of a noise to its least variance, and repeat the least squares with the raised noise.
+
+        A noise whose white part is large enough is returned unchanged, with its fit.
+
+        Args:
+            noise: The noise; its ``share`` is the correlated part of the variance.
+            fit: Least squares of the residual under this noise.
+        """
         shortage = self.least_white - (1.0 - noise.share) * fit.variance
         if shortage <= 0.0:
             return noise, fit
@@ -273,7 +279,8 @@ class NoiseSearch:
     def posterior(self) -> NoisePosterior:
         """Sample the posterior law of the noise: white noise, and points around the mode of each kind, with weights.
 
-        The weight of a sample is its posterior density over the density of the law from which it was drawn.
+        The weight of a sample is proportional to the posterior density of the sample over the density of the law from
+        which it was drawn.
         """
         log_weights = [math.log(WHITE_PRIOR)]
         fits = [self.with_least_white(WHITE, self.white)]

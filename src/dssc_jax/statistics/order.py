@@ -13,7 +13,12 @@ from dssc_jax.statistics.proportions import CONFIDENCE, require_share
 def binomial_quantile(level: float, draws: int, probability: float) -> int:
     """Smallest k at which the distribution function of Bin(draws, probability) reaches ``level``.
 
-    SciPy's inverse may be off by one through rounding, so the result is corrected by the distribution function itself.
+    Rounding may put SciPy's inverse off by one, so the distribution function itself corrects the result.
+
+    Args:
+        level: Level of the quantile, in (0, 1).
+        draws: Number of draws of the binomial law.
+        probability: Probability of an event in one draw.
     """
     k = max(0, int(np.ceil(special.bdtrik(level, draws, probability))))  # bdtr: the distribution function
     while k > 0 and special.bdtr(k - 1, draws, probability) >= level:

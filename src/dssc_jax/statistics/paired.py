@@ -157,8 +157,9 @@ def compare_metrics(
 ) -> MetricDifference:
     """Quantile of the difference a - b of a metric of two systems on the same independent draws, with its interval.
 
-    No draw is dropped. A system without a value, because the draw ended early, is infinitely worse; if both have none,
-    they tie. Order statistics handle infinite values and any law; a mean with Student's t handles neither.
+    No draw is dropped. A draw that ended early has no value, and counts as infinitely worse than any value; if neither
+    system has a value, they tie. Order statistics handle infinite values and any law. A mean with Student's t handles
+    neither.
 
     Args:
         a: The metric under a, shape (n,); NaN if the draw has no value. Smaller values are better.

@@ -94,8 +94,8 @@ class SimulatedNoise(NamedTuple):
     def weighted_products(self, times: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, float]:
         """Products C' S^-1 C of columns C, weighted by the inverse of the noise's covariance S, and log det S.
 
-        Each row of C is replaced by its prediction error, scaled to the variance 1. The products of these whitened
-        rows are the weighted products.
+        Each row of C is replaced by its error of prediction from earlier rows, scaled to the variance 1. The products
+        of these whitened rows are the weighted products.
 
         Args:
             times: Times of observation [s], shape (n,): the times of the simulations, or a part of them.
@@ -141,10 +141,10 @@ class SimulatedNoise(NamedTuple):
 
     @property
     def independent_samples(self) -> float:
-        """Effective sample size: the number of independent samples that tell the variance as precisely as these n.
+        """Effective sample size: the number of independent samples that determine the variance as precisely as these n.
 
-        It is (tr S)^2/tr(S^2) with the covariance S. As S comes from few simulations, its squares are too large by the
-        squares of the errors of sampling, which are subtracted.
+        With the covariance S it is (tr S)^2/tr(S^2). S is estimated from few simulations, so the squares of its
+        sampling errors make tr(S^2) too large; they are subtracted.
         """
         covariance = self.share * self.shape.covariance
         sampling_squares = float(np.trace(covariance)) ** 2 / len(self.shape.simulated)

@@ -215,7 +215,9 @@ def largest_change(draws: WeightedDraws, limit: float) -> LargestChange:
 def largest_size(condition: Callable[[float], bool], end: float) -> float:
     """Largest size from 0 to ``end`` that meets a condition, by bisection; 0 if no size meets it.
 
-    If a size meets the condition, all smaller sizes must meet it, too.
+    Args:
+        condition: Whether a size is allowed. If it allows a size, it must allow all smaller sizes, too.
+        end: Largest size to try.
     """
     if not condition(0.0):
         return 0.0

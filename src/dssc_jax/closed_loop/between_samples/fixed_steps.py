@@ -87,7 +87,7 @@ def advance_with_software(
         drive = drive_at(plant, tuple(outputs), t)
 
         def tick_and_move(tick: Scalar, at: tuple[State, States]) -> tuple[State, States]:
-            """Both states just before the next tick, after a run of the software and the plant's motion up to that tick."""
+            """Both states just before the next tick: the software runs, then the plant moves up to that tick."""
             previous_plant, states = at
             ticked = software.tick(params, previous_plant, period)
             if observe is not None:

@@ -56,7 +56,10 @@ class MarginKind:
         return -math.inf if self.good == "large" else math.inf
 
     def in_unit(self, value: float, unit: str) -> float:
-        """Convert a value in the margin's unit to another of its units, such as rad to deg."""
+        """Convert a value in the margin's own unit, such as rad, to another of its units, such as deg.
+
+        A gain is converted to decibels as 20 log10; a gain of 0 or less is -inf dB.
+        """
         if self.units[unit] is decibel:
             return 20.0 * math.log10(value) if value > 0.0 else -math.inf
         return value / self.units[unit](1.0)

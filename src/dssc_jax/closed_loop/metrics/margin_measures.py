@@ -13,7 +13,7 @@ from dssc_jax.core.signals import Scalar
 
 
 def keep_value(acc: Accumulator, sample: MetricInput, window: Window) -> Accumulator:
-    """The margin itself: no sample of the flight changes it."""
+    """The margin itself, which is computed before the flight: no sample changes it, and ``sample`` is not read."""
     return acc
 
 

@@ -165,9 +165,9 @@ def channel_signals(
 
     Args:
         index: Index of the channel.
-        fields: Names of the signals in the info of its controller.
-        units: Units and meanings of the channel.
-        reports: Unit and meaning of the signals that its controller declares.
+        fields: Names of the signals in the info of the channel's controller.
+        units: Units and meanings of the channel's output y and command u.
+        reports: Unit and meaning of the signals that the controller declares, by name.
 
     Raises:
         ConfigError: The controller reports a signal under the name of another one.
@@ -175,7 +175,7 @@ def channel_signals(
     signals: dict[str, SampledSignal] = {}
 
     def add(name: str, quantity: Quantity, value: SignalReader) -> None:
-        """Add a signal, with the channel's units and meanings in place of those of y and u."""
+        """Add a signal under a name, in the channel's own units and words in place of the symbols y and u."""
         signals[name] = SampledSignal(units.of(quantity.unit), units.describe(quantity.meaning), value)
 
     add("y", Quantity("y", "output y"), output_reader(index))
@@ -223,7 +223,7 @@ def variation_update(signal: SignalReader, periodic: bool = False) -> Update:
 
 
 def total_variation(acc: Variation, window: Window, span: Span) -> Scalar:
-    """The sum of the sizes of all changes of a signal."""
+    """The sum of the sizes of all changes of a signal, which the accumulator holds."""
     return acc.sum
 
 
@@ -250,8 +250,8 @@ def last_update(signal: SignalReader) -> Update:
 class SignalMetric(NamedTuple):
     """A kind of metric that applies to any signal, such as its rms.
 
-    The fields are those of a :class:`~dssc_jax.closed_loop.metrics.streaming.Metric`, but for the dependence on the
-    signal.
+    The fields are those of a :class:`~dssc_jax.closed_loop.metrics.streaming.Metric`, but ``update`` and
+    ``periodic_update`` are functions that make the update for a given signal.
 
     Args:
         meaning: Words before the meaning of the signal.
@@ -259,8 +259,9 @@ class SignalMetric(NamedTuple):
         value: Computes the metric from the accumulator at the end.
         start: The accumulator before the first sample.
         course: Whether the value can only rise, only fall, or do both as samples are added.
-        least: The least value that is possible.
-        periodic_update: As ``update``, for an angle that jumps by a turn; None: ``update`` serves for it, too.
+        least: The least possible value.
+        periodic_update: As ``update``, for an angle that jumps by a whole turn; None: ``update`` serves for angles,
+            too.
     """
 
     meaning: str
@@ -293,7 +294,12 @@ SIGNAL_METRICS: dict[str, SignalMetric] = {
 
 
 def signal_metric(kind: str, signal: SampledSignal) -> Metric:
-    """The metric of one kind, a key of :data:`SIGNAL_METRICS` such as ``rms``, of a signal."""
+    """The metric of one kind for one signal.
+
+    Args:
+        kind: A key of :data:`SIGNAL_METRICS`, such as ``rms``.
+        signal: The signal, with its unit and meaning.
+    """
     form = SIGNAL_METRICS[kind]
     make_update = form.update
     if signal.periodic and form.periodic_update is not None:

@@ -38,7 +38,7 @@ class WindowEntry(NamedTuple):
 
 
 def entry_field(default: float, entry: WindowEntry) -> Any:
-    """A dataclass field of a window, with its default and its entry in a study."""
+    """A dataclass field of a window, from its default value and the entry that sets it in a study."""
     return field(default=default, metadata={"entry": entry})
 
 
@@ -127,9 +127,13 @@ class Window:
         return written
 
     def suffix(self, default_window: "Window") -> str:
-        """The end of a measure's name that tells its window, such as ``_after_2``.
+        """The end of a measure's name that identifies its window, such as ``_after_2``.
 
-        It is empty for the study's default window. Any other window shows its start and each value that differs.
+        It is empty for the study's default window. For any other window it has the start, and each other value that
+        differs from the default.
+
+        Args:
+            default_window: The study's default window.
         """
         if self == default_window:
             return ""
@@ -166,7 +170,7 @@ def window_entries() -> dict[str, WindowEntry]:
 
 
 def window_defaults() -> dict[str, float]:
-    """The values of a window that hold where a study leaves them out, by their names in the study file."""
+    """The values of a window that hold if a study leaves them out, by their names in the study file."""
     return WHOLE_RUN.entries()
 
 
@@ -205,6 +209,11 @@ def samples_before_end(window: Window, sample_time: float, steps: Scalar) -> Sca
     """Number of samples up to the end of a window, at t <= until, in a run of ``steps`` samples.
 
     A sample at k T_s counts even if rounding has made its time slightly later than the end.
+
+    Args:
+        window: The window, which ends at ``window.until`` [s].
+        sample_time: T_s [s].
+        steps: Number of samples of the run, which may be traced.
     """
     if math.isinf(window.until):
         return steps
@@ -219,7 +228,10 @@ def span_of(window: Window, steps: Scalar, sample_time: float) -> Span:
 
 
 def in_window(window: Window, k: Scalar, sample_time: float) -> Scalar | None:
-    """Whether sample k lies in the window; None if all samples do, so that the program needs no test."""
+    """Whether sample k lies in the window; None if all samples do, so that the compiled program needs no test.
+
+    The number of samples of the run does not matter: k never exceeds it.
+    """
     start = first_sample(window.after, sample_time)
     if math.isinf(window.until):
         return None if start == 0 else k >= start

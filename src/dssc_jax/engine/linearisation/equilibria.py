@@ -45,14 +45,14 @@ def at_origin(study: Study) -> Study:
 
 
 class Resting(NamedTuple):
-    """Equilibria of the undisturbed loop of n draws, and the linearised loops there.
+    """Equilibria of the undisturbed loop of n draws, and the loops linearised at them.
 
     Args:
         states: The states at the end of the search, shape (n, states).
-        matrices: Matrices of the loops there, without substitutes for corners.
-        is_settled: Which draws are at rest in these states, shape (n,).
-        relevant_states: States on which the loop's signals depend, either there or with all parts within their
-            boundaries, shape (n, states); the others need not be at rest.
+        matrices: Matrices of the loops linearised at these states, without substitutes for corners.
+        is_settled: Whether each draw is at rest in its state, shape (n,).
+        relevant_states: States on which the loop's signals depend, either at the end of the search or with all parts
+            within their boundaries, shape (n, states). The other states need not be at rest.
     """
 
     states: np.ndarray
@@ -64,7 +64,8 @@ class Resting(NamedTuple):
 def better_equilibria(earlier: Resting, later: Resting) -> Resting:
     """The better equilibrium of each draw, out of two searches.
 
-    It is the later one if the earlier search failed, or found an open loop where the later search found a closed loop.
+    The later search wins if the earlier one failed, or if the loop is open at the earlier equilibrium and closed at the
+    later one. A later search that failed never wins.
     """
     is_better = later.is_settled & (~earlier.is_settled | (earlier.matrices.is_open() & ~later.matrices.is_open()))
 
@@ -93,13 +94,17 @@ class RestingLoop:
         self.final_states = LaneProgram(self._final_state)
 
     def _initial_state(self, numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array]:
-        """The state before the first sample as a vector; a program of a lane."""
+        """The state before the first sample as a vector: the program of one lane, which takes no ``vectors``."""
         loop, params = loop_to_linearise(self.study, numbers, self.places, is_resting=True)
         state, _ = ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))
         return (state,)
 
     def _final_state(self, numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array]:
-        """The state after a flight of the study's duration at the constant reference; a program of a lane."""
+        """The state after a flight of the study's duration at the constant reference, as the program of one lane.
+
+        The flight starts at ``vectors["state"]``. Every sample is computed as the same later sample, because
+        controllers may treat the first sample unlike all others.
+        """
         loop, params = loop_to_linearise(self.study, numbers, self.places, is_resting=True)
         sample = sample_map(loop, params, draw_key(self.study.config.seed, index), jnp.asarray(LATER_SAMPLE))
         no_additions = jnp.zeros(len(place_names(loop.channels)))
@@ -125,8 +130,13 @@ class RestingLoop:
     def inner_dependence(self, values: Arrays, indices: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Which states the loop's signals depend on if every part is within its boundaries, shape (n, states).
 
-        These must rest, too. Beyond a limit no signal depends on the states that drive the limited part, so that a
-        moving integrator would pass for an equilibrium.
+        An equilibrium requires that these states are at rest, too. Beyond a limit no signal depends on the states that
+        drive the limited part, so that a loop with a moving integrator would pass for one at rest.
+
+        Args:
+            values: Values of the uncertain numbers, shape (n,) each.
+            indices: Draw indices, shape (n,).
+            states: Operating points, shape (n, states).
         """
         if not any(place.has_inner_side for place in self.places):
             return np.zeros(states.shape, bool)
@@ -134,7 +144,7 @@ class RestingLoop:
         return closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
 
     def smooth(self, count: int) -> np.ndarray:
-        """A finding for each part of ``count`` draws that takes it as it is, shape (count, parts)."""
+        """The finding "smooth" for every part of ``count`` draws, without any substitute, shape (count, parts)."""
         return np.full((count, len(self.places)), Finding.SMOOTH.value)
 
     def within_boundaries(self, count: int) -> np.ndarray:

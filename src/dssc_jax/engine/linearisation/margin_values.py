@@ -28,9 +28,9 @@ STEP = 1e-4  # step of a central difference, relative to the number
 
 
 class ClosedLoops(NamedTuple):
-    """n closed loops x+ = A x + b w, v = c x: w is added at one break point, and v is the signal before the sum.
+    """n closed loops x+ = A x + b w, v = c x, with w added at one break point, where v is the signal before the sum.
 
-    The states x are those by which the added signal comes back to the break point.
+    The states x are those through which the added signal returns to the break point.
 
     Args:
         a: A, shape (n, states, states).
@@ -178,13 +178,13 @@ class MarginValues:
     ) -> Arrays:
         """The margins at one break point, by field of ``ClassicalMargins``, shape (n,) each.
 
-        Lanes are computed together if a signal comes back to the break point by the same states. An unstable loop has
-        the value at the limit of stability, and a lane without an equilibrium or with an open loop has NaN.
+        Lanes whose signals return to the break point through the same states are computed together. An unstable loop
+        has the margins at the limit of stability. A lane without an equilibrium or with an open loop has NaN.
 
         Args:
             matrices: Matrices of the lanes.
-            is_settled: Which lanes have an equilibrium, shape (n,).
-            is_beyond: Which lanes rest beyond the boundary of a part, shape (n,).
+            is_settled: Whether each lane has an equilibrium, shape (n,).
+            is_beyond: Whether each lane rests beyond the boundary of a part, shape (n,).
             point: Index of the break point.
             neutral: Value of each margin at the limit of stability.
         """

@@ -29,12 +29,12 @@ from dssc_jax.engine.linearisation.smooth_parts import INPUTS, SIGNAL_SENSOR, Lo
 
 
 class PartMap(NamedTuple):
-    """A part as a function of its state and inputs, and their values at one operating point.
+    """A part as a function of its state and inputs, with their values at one operating point.
 
     Args:
         apply: ``(part, params, memory, signals) -> outputs``; the outputs include the part's next state.
         memory: State of the part, which may contain counters; () for the plant and for disturbances.
-        signals: Inputs of the part and, for the plant, its state.
+        signals: Inputs of the part; for the plant also its state.
     """
 
     apply: Callable[..., object]
@@ -83,7 +83,7 @@ class OperatingPoint(NamedTuple):
 def part_maps(
     loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar, places: Sequence[LoopPart]
 ) -> list[PartMap]:
-    """Each part in ``places`` as a function of its state and inputs, and their values at sample k.
+    """Each part in ``places`` as a function of its state and inputs, with their values at sample k.
 
     Args:
         loop: The models and the clock.
@@ -105,7 +105,10 @@ def part_maps(
 
 
 def plant_map(at: OperatingPoint, _: int) -> PartMap:
-    """The plant: from its state and commands to the derivative, the measurements and the measured signals."""
+    """The plant: from its state and commands to its derivative, measurements and measured signals.
+
+    A plant belongs to no channel, so the contract's index is not read.
+    """
 
     def apply(
         part: Plant[Measurements, Signals], params: Params, memory: tuple[()], signals: tuple[State, Signals]
@@ -132,7 +135,7 @@ def sensor_map(at: OperatingPoint, i: int) -> PartMap:
 
 
 def differentiator_map(at: OperatingPoint, i: int) -> PartMap:
-    """The differentiator of channel i: from the reading to the reading with its derivative."""
+    """The differentiator of channel i: from the sensor's reading to the reading with its derivative."""
 
     def apply(part: Differentiator, params: Params, memory: State, signals: Measurement) -> tuple[State, Measurement]:
         """The differentiator's next state, and the reading with its derivative."""
@@ -167,7 +170,7 @@ def unmodelled_map(at: OperatingPoint, i: int) -> PartMap:
 
 
 def disturbance_map(at: OperatingPoint, i: int) -> PartMap:
-    """The disturbance of channel i: from the measurement and sigma to its value."""
+    """The disturbance of channel i: from the channel's measurement and sigma to the disturbance's value."""
     return disturbance_from(at, at.state.disturbances[i], i)
 
 
@@ -177,7 +180,7 @@ def named_input_map(at: OperatingPoint, i: int) -> PartMap:
 
 
 def disturbance_from(at: OperatingPoint, state: State, channel: int) -> PartMap:
-    """A disturbance that keeps its state: from the measurement and sigma of a channel to its value.
+    """A disturbance whose state is held: from the measurement and sigma of a channel to the disturbance's value.
 
     Args:
         at: The loop at its operating point.

@@ -214,6 +214,8 @@ def named_margins(
 def crossing_frequencies(respond: Response, angles: np.ndarray, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
     """The frequencies of one loop at which abs(L) is 1, and those at which L is real and negative [rad/s], ascending.
 
+    Roots of real functions give both: abs(L) = 1 where Re G = -1/2, and L is real where Im G = 0.
+
     Args:
         respond: G of the loop.
         angles: Ascending angles from 0 to pi between which crossings are found, shape (1, m).
@@ -232,7 +234,13 @@ def crossing_frequencies(respond: Response, angles: np.ndarray, sample_time: flo
 
 
 def offset_size(respond: Response, offset: float, angles: np.ndarray) -> np.ndarray:
-    """|G + offset| at some angles, shape (n, m)."""
+    """The size |G + offset| of the shifted response at some angles, shape (n, m).
+
+    Args:
+        respond: G of n loops.
+        offset: The shift, a real number.
+        angles: The angles [rad], shape (n, m).
+    """
     return np.abs(respond(angles) + offset)
 
 

@@ -168,14 +168,14 @@ def named_kind(study: Study, slot: str, name: str) -> str:
 
 
 def declared_place(study: Study, slot: str, index: int, part: Part, params: Params) -> LoopPart:
-    """The place of a part in the loop, with its declaration of where it is smooth.
+    """The place of a part in the loop, with the part's declaration of where it is smooth.
 
     Args:
         study: The study.
         slot: Field of :class:`Loop`.
         index: Index within the slot.
         part: The model.
-        params: Its parameters, in which laws may stand for numbers.
+        params: The model's parameters, in which laws may stand for numbers.
 
     Raises:
         ConfigError: The part declares nothing, or it is smooth nowhere and has no substitute.
@@ -210,7 +210,13 @@ def substitute_notes(places: Sequence[LoopPart]) -> list[str]:
 
 
 def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Part, Params]:
-    """The model of the part in a place of the loop, and its parameters."""
+    """The model in a place of the loop, and its parameters.
+
+    Args:
+        loop: The models and the clock.
+        params: The loop's parameters.
+        place: The place: a slot, and an index within it.
+    """
     if place.slot == "plant":
         return loop.mimo_plant, params.plant
     return getattr(loop, place.slot)[place.channel], getattr(params, place.slot)[place.channel]
@@ -236,7 +242,7 @@ def with_part(
 
 
 def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> tuple[Loop, LoopParams]:
-    """The loop and its parameters, with substitutes in place of the parts that are smooth nowhere."""
+    """The loop and its parameters, with substitutes for all parts that are smooth nowhere."""
     for place in places:
         if place.is_replaced:
             _, part_params = part_of(loop, params, place)
@@ -273,7 +279,12 @@ def with_inner_sides(
 def selected_params(params: Params, substitute: Params, is_substituted: Scalar) -> Params:
     """The parameters of the substitute if it replaces the part, else the parameters of the part.
 
-    Numbers that are equal before tracing stay plain numbers, such as the size of a memory.
+    A number that is known before tracing and equal in both, such as the size of a memory, stays a plain number.
+
+    Args:
+        params: Parameters of the part.
+        substitute: Parameters of the substitute, with the same fields.
+        is_substituted: Whether the substitute replaces the part; may be traced.
     """
 
     def select(number: Scalar, substitute_number: Scalar) -> Scalar:
@@ -286,7 +297,10 @@ def selected_params(params: Params, substitute: Params, is_substituted: Scalar) 
 
 
 def choice(part: Part, substitute: Part) -> Part:
-    """A part that behaves as the part or as its substitute, whichever its :class:`SelectedParams` select."""
+    """A part that runs as the part or as its substitute, as its :class:`SelectedParams` tell.
+
+    Both have the same functions. Which one runs may be a traced value, so both are computed.
+    """
 
     def selecting(name: str) -> Callable[..., object]:
         """Return the function of this name that runs both parts, and selects the results of one."""
