@@ -132,7 +132,9 @@ def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
 
 
 def show_output_sensitivities(name: str, quantities: Mapping[str, np.ndarray], answer: SensitivityAnswer) -> None:
-    """Print a table of an output's sensitivities, one row for each factor, those with large sensitivities first.
+    """Print a table of an output's sensitivities, one row for each factor, the largest first.
+
+    The sensitivities of the first kind decide the order.
 
     Args:
         name: Name of the output.
@@ -242,9 +244,10 @@ def show_rare(event: RareEvent, files: list[Path]) -> None:
 
 
 def show_design_points(answer: RareAnswer) -> None:
-    """Print each design point: its distance [sigma], FORM and SORM probability, and its uncertain numbers.
+    """Print each design point: its distance [sigma], its FORM and SORM probability, and its uncertain numbers.
 
-    FORM and SORM are the first- and second-order approximations of the probability of failures around the point.
+    FORM and SORM are the first- and second-order approximations of the probability of the failures around a design
+    point.
     """
     if not answer.design_points:
         return

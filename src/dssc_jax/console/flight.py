@@ -76,7 +76,10 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
 
 
 def compared_samples_text(answer: LogAnswer) -> str:
-    """Tell how many samples are compared, how many of them the log has, and whether it ends before the study does."""
+    """Tell how many samples are compared, at how many of these the log has a value, and whether the log ends early.
+
+    The log ends early if it has fewer samples than the study. A file that is cut off within a message is named, too.
+    """
     is_shorter = answer.samples < answer.study_samples
     of_study = f" of the study's {answer.study_samples}" if is_shorter else ""
     compared = f"{answer.samples}{of_study} samples"
@@ -253,9 +256,9 @@ def show_rank(answer: LogAnswer, p_value: float) -> None:
 
 
 def outside_text(answer: LogAnswer) -> str:
-    """Name the signals that are outside the range of all draws for many of their samples; empty if there are none.
+    """Name the signals that are outside the range of all draws for many of their samples; empty if none is.
 
-    Many is a share above :data:`LARGE_OUTSIDE_SHARE`.
+    "Many" is a share of the signal's samples above :data:`LARGE_OUTSIDE_SHARE`.
     """
     shares = []
     for name, signal in answer.signals.items():
@@ -265,7 +268,7 @@ def outside_text(answer: LogAnswer) -> str:
 
 
 def show_fit(summary: Mapping[str, Any], warnings: Sequence[SignalWarning]) -> None:
-    """Print the estimates with their intervals, the residual, warnings, and the proposed laws or their file.
+    """Print the estimates with their intervals, the residual, warnings, and the proposed laws or the file with them.
 
     Args:
         summary: Summary of the fit and of the log's replay, as printed for JSON.

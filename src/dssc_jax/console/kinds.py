@@ -62,7 +62,7 @@ class KindDescription(TypedDict):
 
 
 class MetricDescription(TypedDict):
-    """A metric: its unit, its meaning, and ``of``, what it is measured for, such as a channel."""
+    """A metric: its unit, its meaning, and in ``of`` what it belongs to, such as a channel."""
 
     unit: str
     meaning: str
@@ -157,7 +157,7 @@ def parameter_rows(params: type, prefix: str, preset: "NamedTuple | None") -> It
 
 
 def field_rows(spec: FieldSpec, name: str, default: object) -> Iterator[FieldRow]:
-    """Yield the rows of one field: several for a table or a list of tables, else one.
+    """Yield the rows of one field: several rows for a table or a list of tables, otherwise one.
 
     Args:
         spec: Specification of the field.
@@ -189,7 +189,13 @@ def field_rows(spec: FieldSpec, name: str, default: object) -> Iterator[FieldRow
 
 
 def value_row(spec: FieldSpec, name: str, default: str) -> FieldRow:
-    """Return the row of a field that is not a table, with a name and the text of its default value."""
+    """Return the row of a field that is not a table.
+
+    Args:
+        spec: Specification of the field.
+        name: Dotted name of the field.
+        default: Text of the default value.
+    """
     quantity = spec.mark
     if isinstance(quantity, Quantity):
         meaning = f"{quantity.meaning}{LIST_REMARKS[spec.depth]}"
@@ -326,9 +332,11 @@ def metric_description(metric: Metric) -> MetricDescription:
 
 
 def show_kind(name: str) -> None:
-    """Print what has a name: a law, a metric, kinds with their fields, and the kinds that have such a field.
+    """Print everything with a name: a law, a metric, kinds with their fields, and the kinds that have a field of this
+    name.
 
-    Arguments and errors are those of :func:`entries_named`.
+    Args:
+        name: The name; :func:`entries_named` tells which names are refused.
     """
     entries = entries_named(name)
     if name in LAWS:

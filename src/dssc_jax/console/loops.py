@@ -206,7 +206,7 @@ def no_margins_text(statistics: LoopStatistics, draws: int, least_draws: int, le
 
 
 def margin_text(value: float, format_value: Callable[[float], str]) -> str:
-    """Format a margin by a function; a dash if it is infinite or NaN, as for a loop without margins."""
+    """Format a margin by ``format_value``; an infinite margin, or NaN for a loop without margins, becomes a dash."""
     return format_value(value) if math.isfinite(value) else "-"
 
 

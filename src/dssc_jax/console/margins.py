@@ -25,12 +25,12 @@ MOST_DRAWS = 0.5
 
 
 def value_text(value: float | None, end: float, unit: str = "") -> str:
-    """Format a quantile of the critical values, and mark it if it lies outside the walk.
+    """Format a quantile of the critical values, and say so if it lies outside the walk.
 
     Args:
-        value: The quantile; None: before the start of the walk; equal to ``end``: at the end or beyond.
+        value: The quantile; None: it lies before the start of the walk; equal to ``end``: it lies there or beyond.
         end: End of the walk.
-        unit: Unit of both.
+        unit: Unit of the quantile and of the end.
     """
     if value is None:
         return "before the start"

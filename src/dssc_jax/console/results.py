@@ -110,10 +110,10 @@ def design_effect_text(effect: "DesignEffect", draws: int) -> str:
 
 
 def show_paired_differences(result: "Result") -> None:
-    """Print how the failure probability of a short sweep over one axis differs from that at its first value.
+    """Print how the failure probability at each value of a sweep differs from that at the first value.
 
-    All values share the draws. Therefore the paired difference is sharper than the intervals at both values suggest.
-    Nothing is printed for other sweeps, and for draws that are not independent.
+    All values share the draws, so the paired difference is sharper than the intervals at both values suggest. Only a
+    sweep over one axis with few values and independent draws has such a table; for others nothing is printed.
     """
     axes = result.study.axes
     if len(axes) != 1 or not result.study.config.independent:
@@ -164,9 +164,14 @@ def show_point(study: "Study", point: SummaryRow, draws_equal: bool) -> None:
 
 
 def requirement_rows(study: "Study", point: SummaryRow, draws_equal: bool) -> list[tuple[str, ...]]:
-    """One row for each requirement: how many draws violate it, alone and first, and the median time of violation [s].
+    """One row for each requirement: how many draws violate it, violate it alone, and violate it first.
 
-    Arguments as for :func:`show_point`.
+    The last cell is the median time of violation [s].
+
+    Args:
+        study: The study.
+        point: Summary of one point.
+        draws_equal: Whether all draws are the same.
     """
     rows = []
     for rule, requirement in zip(study.requirements, point["requirements"], strict=True):
@@ -180,7 +185,9 @@ def requirement_rows(study: "Study", point: SummaryRow, draws_equal: bool) -> li
 def overlap_rows(point: SummaryRow, draws_equal: bool) -> list[tuple[str, ...]]:
     """One row for each pair of requirements: how many draws violate both, and how many of these ran to their end.
 
-    Arguments as for :func:`show_point`.
+    Args:
+        point: Summary of one point.
+        draws_equal: Whether all draws are the same.
     """
     rows = []
     for pair in point["overlaps"]:
@@ -236,7 +243,7 @@ def quantile_text(quantiles: SummaryRow, level: str, worst: float, with_interval
 def failure_cells(row: SummaryRow, draws: int, draws_equal: bool) -> tuple[str, ...]:
     """Cells with the number of failures, their probability and its interval.
 
-    Without failures, the upper bound takes the place of a probability of 0.
+    Without failures, the upper bound stands in place of the probability 0, as "<= BOUND".
 
     Args:
         row: Entry of a summary with the failures, their probability and its interval.

@@ -79,7 +79,7 @@ def show_verdict(verdict: Verdict, objective: ObjectiveAnswer) -> None:
 
 
 def verdict_rows(verdict: Verdict, objective: ObjectiveAnswer) -> list[tuple[str, str, str, str]]:
-    """Make the rows of a verdict's table: what is compared, at the start, at the result, and its limit."""
+    """Make the rows of a verdict's table: what is compared, its value at the start and at the result, and its limit."""
     name = f"{objective.aggregate} {objective.level:g}" if objective.aggregate == "cvar" else objective.aggregate
     start, result = verdict.objective
     rows = [(f"objective ({name})", objective_text(start), objective_text(result), "")]

@@ -50,7 +50,9 @@ def show_head(name: str, text: str) -> None:
 def show_required(name: str, requirements: Sequence[str]) -> None:
     """Print the name of a study in bold, followed by its requirements.
 
-    A study without requirements requires that its draws stay finite.
+    Args:
+        name: Name of the study.
+        requirements: The requirements in words; empty: the draws need only stay finite.
     """
     show_head(name, f"required: {'; '.join(requirements) or STAYS_FINITE}")
 
@@ -103,7 +105,10 @@ def progress_bar(
     announced = False
 
     def advance(completed: int, total: int | None) -> None:
-        """Move the bar; the first call shows it."""
+        """Move the bar to ``completed`` of ``total`` steps; the first call shows the bar.
+
+        Without a total, the completed steps are taken for it.
+        """
         nonlocal latest, limit, announced
         if compiles and not announced:
             announce_compiling(study, quiet)
@@ -159,7 +164,7 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | 
 
 
 def is_prose(cells: Sequence[str]) -> bool:
-    """Whether a column may be folded: at least one cell has several parts, and most of them are words."""
+    """Whether a column may be folded: at least one of its cells has several parts, most of which are words."""
     for cell in cells:
         parts = cell.split()
         word_count = sum(part.isalpha() for part in parts)
@@ -171,7 +176,10 @@ def is_prose(cells: Sequence[str]) -> bool:
 def show_blocks(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None) -> None:
     """Print each row of a table as a block: the first cell in bold, and one line for each further cell.
 
-    Arguments as for :func:`show_table`.
+    Args:
+        head: Name of each column.
+        rows: Cells of each row.
+        title: Title above the blocks; None: no title.
     """
     if title is not None:
         show_paragraph(title)

@@ -67,7 +67,10 @@ def law_range_question(study: Study) -> Question[str]:
     """Return the question for the failure probability over all laws within the ranges of a study."""
 
     def answer(_: LiveRun, check: Callable[..., None]) -> str:
-        """Find the probability; the run is not needed, because its laws are single ones."""
+        """Find the probability over the laws' ranges.
+
+        The run has single laws in place of the ranges, so it is not used; the question starts from the study.
+        """
         return law_ranges(study, progress=check).headline
 
     return answer

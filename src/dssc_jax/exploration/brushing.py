@@ -42,7 +42,11 @@ AXIS_NAMES = ("x", "y")
 
 
 def draw_source(table: DrawTable) -> ColumnDataSource:
-    """Make the data source of the draws: their columns, whether they failed, their indices, and the scatter's axes."""
+    """Make the data source of the draws, with one row for each draw.
+
+    Its columns are the numbers and metrics of the table, whether a draw failed, the draw's index, and the two axes of
+    the scatter.
+    """
     columns = {name: values.astype(np.float32) for name, values in table.columns.items()}
     data = {**columns, "failed": table.failed.astype(np.uint8), "draw": table.draw.astype(np.int32)}
     for axis, name in zip(AXIS_NAMES, table.first_axes, strict=True):

@@ -101,7 +101,13 @@ class FanFigure:
     """
 
     def __init__(self, study: Study, name: str, x_range: Range | None = None) -> None:
-        """Make the figure, without a run."""
+        """Make the figure, without a run.
+
+        Args:
+            study: The study, for the meaning and unit of the signal.
+            name: Name of the signal.
+            x_range: Range of the time axis that several figures share; None: a new one.
+        """
         self.name = name
         self._outlined: LiveRun | None = None  # the run whose outline is shown
         self.current = ColumnDataSource()
@@ -170,7 +176,7 @@ class PathFigure:
         self.figure.line("across", "upward", source=self.path, color=RED, line_width=2)
 
     def show_draw(self, run: LiveRun, draw: int) -> None:
-        """Show the path in one draw of a run."""
+        """Show the desired and the flown path of one draw of a run."""
         for source, signal in ((self.path, "y"), (self.desired, "y_ref")):
             across, upward = self.channels
             source.data = {

@@ -186,7 +186,7 @@ def usual_range(values: np.ndarray) -> tuple[float, float]:
 def failure_sample(run: LiveRun, draw: int) -> int:
     """Return the index of the sample at which a draw fails: its early end or its first violation; -1 if it passes.
 
-    It is at most the last sample at which the position is finite.
+    The index is at most that of the last sample with a finite position, so that the view can show the vehicle there.
     """
     if not run.failed[draw]:
         return -1

@@ -69,9 +69,9 @@ class LiveRun:
     """A run of all draws of a study at one position of its sliders.
 
     Args:
-        study: The study at that position, without a sweep, which reproduces this run.
+        study: The study at that position, without a sweep. A run of this study gives the same results.
         results: Metrics, slacks, outcome and signals of all draws, by name.
-        values: Drawn values of the uncertain numbers, by name.
+        values: Drawn values of the uncertain numbers, by name, shape (draws,) each.
         times: Times of the signals' samples [s], shape (samples,).
     """
 
@@ -169,10 +169,10 @@ def usual_draws(study: Study) -> int:
 
 
 class LiveStudy:
-    """A study with sliders, compiled for all of their positions.
+    """A study with sliders, compiled for all positions of the sliders.
 
-    It holds three forms of the study, all with the page's number of draws: ``swept`` has its sweep, ``ranged`` has no
-    sweep, and ``base`` also has single laws in the middle of each range of laws.
+    The object holds three forms of the study, all with the page's number of draws: ``swept`` has its sweep, ``ranged``
+    has no sweep, and ``base`` has no sweep and, in place of each range of laws, the single law in its middle.
 
     Args:
         study: The study.
@@ -195,7 +195,10 @@ class LiveStudy:
 
     @property
     def start(self) -> dict[Slider, float]:
-        """Positions that describe the study itself; a swept number is at its own value, or at its law's median."""
+        """The position of each slider that describes the study itself.
+
+        A swept number starts at its value outside of the sweep, or at the median of its law.
+        """
         return {slider: slider.start for slider in self.sliders}
 
     def study_at(self, positions: Positions) -> Study:
@@ -255,7 +258,9 @@ class LiveStudy:
         _ = self.first_run
 
     def _program(self, study: Study, progress: Notice) -> RecordedDraws:
-        """Return the program for a study's sample time; it is compiled if it is not among those kept.
+        """Return the program for a study's sample time, and compile it if no kept program has this sample time.
+
+        The sample time is fixed in a program, and all other positions are inputs of it.
 
         Args:
             study: The study at positions of the sliders.

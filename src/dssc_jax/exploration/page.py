@@ -72,7 +72,7 @@ class Page(ABC):
         run_or_submit(task, self._worker)
 
     def run_second_task(self, task: Work) -> None:
-        """Run a task in a second thread, so that it does not delay those of :meth:`run_task`."""
+        """Run a task in a second thread, so that tasks of :meth:`run_task` do not wait for it."""
         run_or_submit(task, self._second_worker)
 
     def show_later(self, compute: Callable[[], Answer], show: Callable[[Answer], None]) -> None:
@@ -137,7 +137,7 @@ class Page(ABC):
 
 
 def run_or_submit(task: Work, worker: Worker | None) -> None:
-    """Submit a task to a worker; without a worker, run it at once."""
+    """Submit a task to a worker; without a worker, run the task at once, with no newer task to make it stale."""
     if worker is None:
         task(never_stale)
     else:

@@ -161,8 +161,8 @@ class ResultPage(Page):
         """Simulate a draw, show it unless a newer click has come, and then compare it with the stored draw.
 
         Args:
-            row: Row of the draw.
-            stale: Whether a newer click has come.
+            row: Row of the draw in the table.
+            stale: Returns whether a newer click has come.
         """
         try:
             flight = self._record(int(self.table.draw[row]), self.table.point(row))
@@ -176,10 +176,14 @@ class ResultPage(Page):
                 self.run_second_task(partial(self._compare, flight))
 
     def _compare(self, flight: xr.Dataset, stale: Stale) -> None:
-        """Compare a flight with the stored draw, and show whether they agree unless a newer click has come.
+        """Compare a flight with the stored draw, and show whether they agree, unless a newer click has come.
 
-        This is a task of the second thread, because it may take long: a draw whose outcome rounding decides is
-        simulated once more, by a program that compiles slowly.
+        The comparison is a task of the second thread, because it may take long: if rounding decides the draw's outcome,
+        the draw is simulated once more, by a program that compiles slowly.
+
+        Args:
+            flight: The simulated draw.
+            stale: Returns whether a newer click has come.
         """
         flight.attrs["agreement"] = agreement_of(self.result, flight).verdict
         if not stale():

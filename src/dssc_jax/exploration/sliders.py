@@ -129,8 +129,8 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
 def leading_names(study: Study) -> list[str]:
     """Return the numbers that get a slider first if the plant is a vehicle; none for other plants.
 
-    They are the numbers whose quantity is ``leading`` (mass, rotor lag, wind, noise), and the first
-    :data:`MOST_GAINS` gains that the controller declares tunable. Numbers of a single channel are not among them.
+    First come the numbers whose quantity is ``leading`` (mass, rotor lag, wind, noise), then the first
+    :data:`MOST_GAINS` gains that the controller declares tunable. Numbers that belong to a single channel are left out.
     """
     channels = set(study.loop.channels)
     if len(channels) == 1:
@@ -186,10 +186,10 @@ def is_movable(number: Number) -> bool:
 
 
 def sliders_of_number(study: Study, name: str) -> list[Slider]:
-    """Return the sliders of a number; none if it cannot be moved.
+    """Return the sliders of a number; none if the number cannot be moved.
 
-    A plain or swept number has one slider. A law has two, of its median and of its width. A law with ranges has one for
-    each range.
+    A plain or swept number has one slider. A law has two, for its median and its width. A law with ranges has one
+    slider for each range.
 
     Args:
         study: The study.
@@ -293,10 +293,10 @@ def number_slider(number: Number, part: str, scale: SliderScale, start: float) -
 
 
 def scale_around(value: float, quantity: Quantity, reach: float = DEFAULT_REACH) -> SliderScale:
-    """Return the scale of a slider around a value, logarithmic for a positive number.
+    """Return the scale of a slider around a value; it is logarithmic for a positive number.
 
-    A positive number moves between ``value / reach`` and ``value * reach``, zero by one unit to both sides, and a
-    negative number by twice its magnitude. All stay within the admissible interval of the quantity.
+    The ends of a positive number are ``value / reach`` and ``value * reach``. Those of zero are -1 and 1, and those of
+    a negative number lie twice its magnitude below and above it. The admissible interval of the quantity cuts the ends.
 
     Args:
         value: The number.
@@ -331,11 +331,11 @@ def live_extents(sliders: Iterable[Slider]) -> dict[str, SliderEnds]:
 def admissible_sliders(study: Study, sliders: Sequence[Slider]) -> list[Slider]:
     """Return the sliders whose ends the rules of the models admit together.
 
-    A slider that they do not admit is replaced by one with a smaller reach, or left out if none is admitted.
+    A slider whose ends are not admitted is replaced by one with a smaller reach, or left out if no reach is admitted.
 
     Args:
         study: The study.
-        sliders: The sliders, those to keep rather first.
+        sliders: The sliders, the most important first: each must be admitted beside the earlier ones.
     """
     if admits(study, live_extents(sliders)):
         return list(sliders)

@@ -48,8 +48,9 @@ SIDE = 330
 class StudyPage(Page):
     """The page of a study: when a slider moves, all draws are simulated again.
 
-    In a notebook or a program, a move returns when its run is shown. With ``background`` runs happen in a thread, and
-    a newer move replaces an older one. ``now`` is the run that is shown, and ``before`` the run to compare it with.
+    In a notebook or a program, a move returns as soon as its run is shown. With ``background``, runs happen in a
+    thread, and a newer move replaces an older one. ``now`` is the run that is shown, and ``before`` is the run to
+    compare it with.
 
     Args:
         live: The study with its sliders.
@@ -277,7 +278,10 @@ class StudyPage(Page):
         self.ask(margin_question(slider, self.positions[slider]), f"walking along {slider.name}")
 
     def ask_ranges(self) -> None:
-        """Show the failure probability over all laws within their ranges, with all other numbers at their positions."""
+        """Show the failure probability over all laws within their ranges.
+
+        All other numbers stay at the positions of their sliders.
+        """
         study = self.live.ranged_study_at(self.positions)
         self.ask(law_range_question(study), "simulating the laws within their ranges")
 
@@ -298,7 +302,7 @@ class StudyPage(Page):
     def _answer(
         self, question: Question[Answer], activity: str, show_answer: Callable[[LiveRun, Answer], None]
     ) -> None:
-        """Compute the answer to a question about the present run, and show it unless a newer move supersedes it.
+        """Compute the answer to a question about the present run, and show it unless a newer move supersedes the run.
 
         Args:
             question: The question.

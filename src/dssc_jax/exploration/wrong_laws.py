@@ -40,7 +40,12 @@ class WrongLaws:
     """
 
     def __init__(self, on_change: Callable[[], None], on_search: Callable[[], None]) -> None:
-        """Make the widgets; the size is 0, and there is no answer yet."""
+        """Make the widgets; the size is 0, and there is no answer yet.
+
+        Args:
+            on_change: Called when the kind or the size of the law errors changes.
+            on_search: Called when the button for the largest law errors is clicked.
+        """
         self.kind = pn.widgets.Select(label="The laws may be wrong by a", options=list(ERROR_KINDS), width=300)
         self.size = pn.widgets.FloatSlider(label="of up to", start=0.0, end=MOST_ERROR, step=STEP, value=0.0, width=260)
         self.limit = pn.widgets.FloatInput(label="may fail", value=LIMIT, start=0.0, end=1.0, step=0.01, width=100)

@@ -14,7 +14,11 @@ OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=3.0, foreground=DARK)]
 
 
 def largest_colour(share: np.ndarray) -> float:
-    """Upper end of a map's colours: the largest probability if it is below one half, else 1."""
+    """Upper end of a map's colour scale: the largest probability if it is above 0 and below one half, else 1.
+
+    Args:
+        share: Share of failed draws in each cell.
+    """
     largest = float(share.max())
     return largest if 0.0 < largest < 0.5 else 1.0
 

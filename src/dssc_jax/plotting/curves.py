@@ -17,7 +17,16 @@ PROVED_LEGEND = "proved, with lag and sampling"
 
 
 def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None:
-    """Draw the median of a metric along an axis of a sweep, with a band from the 5 to the 95 % quantile."""
+    """Draw the median of a metric along an axis of a sweep, with a band from the 5 % to the 95 % quantile.
+
+    A study with a single draw has no band. If the study asks for a slope, a fitted power law is added.
+
+    Args:
+        ax: Axes to draw into.
+        result: The sweep.
+        measure: The metric.
+        axis: Name of the swept number.
+    """
     x = result.dataset[axis].values
     low, median, high = quantiles(result, measure)
     name = "simulated"
@@ -40,13 +49,28 @@ def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None
 
 
 def fill_band(ax: Axes, x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: str, text: str) -> None:
-    """Fill a band between two curves, each of shape (n,), with as many points as a figure can show."""
+    """Fill a band between two curves, thinned to as many points as a figure can show.
+
+    Args:
+        ax: Axes to draw into.
+        x: Places along the axis, shape (n,).
+        low: Lower curve, shape (n,).
+        high: Upper curve, shape (n,).
+        colour: Colour of the band.
+        text: Legend of the band.
+    """
     points, lower, upper = envelope(x, low, high)
     ax.fill_between(points, lower, upper, color=colour, alpha=0.2, linewidth=0.0, label=text)
 
 
 def probability_curve(ax: Axes, result: Result, axis: str) -> None:
-    """Draw the failure probability along an axis of a sweep, with its interval as a band."""
+    """Draw the failure probability along an axis of a sweep, with its interval as a band.
+
+    Args:
+        ax: Axes to draw into.
+        result: The sweep.
+        axis: Name of the swept number.
+    """
     x = result.dataset[axis].values
     failed = result.failed.values
     interval = result.method.failure_interval(failed)
@@ -63,7 +87,7 @@ def line_format(x: np.ndarray) -> str:
 
 
 def finish_curve(ax: Axes, result: Result, axis: str) -> None:
-    """Add what all curves show: certified and proved parts of the axis, the study's own value, scale and labels."""
+    """Add what all curves share: certified and proved parts of the axis, the study's own value, scale and labels."""
     x = result.dataset[axis].values
     set_scale(ax, x)
     certified = certified_region(result)

@@ -34,9 +34,9 @@ MOST_MARKED_STEPS = 20  # steps of a distribution function up to which each has 
 
 @styled
 def failures(result: Result) -> Figure:
-    """Plot a run: the distribution of one metric, and the failure probability against the most influential numbers.
+    """Plot a run: the distribution of one metric, and the failure probability over the most influential numbers.
 
-    The metric is the one that ``[plot]`` names, else that of the requirement which most draws violate.
+    ``[plot]`` of the study may name the metric. Otherwise it is that of the requirement which most draws violate.
     """
     laws = sorted_by_influence(result, drawable_laws(result))[:MOST_FACTORS]
     panels = 1 + len(laws)
@@ -80,7 +80,9 @@ def share_probability_axis(factors: np.ndarray, columns: int) -> None:
 
 
 def require_one_point(result: Result) -> None:
-    """Require a single point: all points of a sweep share their draws, so no interval holds for their draws together.
+    """Require that a result has a single point.
+
+    All points of a sweep share the same draws, so no interval holds for the draws of several points together.
 
     Raises:
         ValueError: The result has several points.
@@ -98,9 +100,9 @@ def drawable_laws(result: Result) -> list[str]:
 def distribution(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
     """Plot the empirical distribution function of a metric, with the exact interval of each share of draws.
 
-    A draw without a value counts as the worst one (:attr:`Metric.worst`). Where large values are good, as those of a
-    robustness, the curve therefore starts at the share of such draws; elsewhere it ends below 1. The legend tells how
-    many draws lie beyond an end of the axis.
+    A draw without a value counts as the worst one (:attr:`Metric.worst`). Where large values are good, as for a
+    robustness, the curve therefore starts at the share of such draws; for other metrics it ends below 1. The legend
+    tells how many draws lie beyond an end of the axis.
 
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).
@@ -182,9 +184,9 @@ def steps_of_distribution(values: np.ndarray, missing: float) -> Steps:
 
 @styled
 def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
-    """Plot the failure probability with its exact interval against one uncertain number, in bins of equal count.
+    """Plot the failure probability with its exact interval over one uncertain number, in bins of equal count.
 
-    A number that takes few values, such as that of a ``choice``, has a bin for each of them.
+    A number that takes few values, such as one with the law ``choice``, has a bin for each value.
 
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).

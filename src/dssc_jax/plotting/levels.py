@@ -13,7 +13,7 @@ LEVELS = np.linspace(0.0005, 0.9995, 1000)
 
 
 def level_of(law: Law, values: np.ndarray) -> np.ndarray:
-    """The level of each value in a law, which is its distribution function there, with an error of about 0.001.
+    """The level of each value in a law: the law's distribution function at the value, with an error of about 0.001.
 
     Args:
         law: The law.

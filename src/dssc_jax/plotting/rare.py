@@ -54,7 +54,15 @@ def probability_panel(ax: Axes, summary: JsonObject) -> None:
 
 
 def draw_estimate(ax: Axes, row: int, probability: float, bounds: np.ndarray, colour: str) -> None:
-    """Draw an interval, bounds of shape (2,), as a line, and the estimate as a dot on it unless it is 0."""
+    """Draw an interval as a horizontal line, and the estimate as a dot on it; an estimate of 0 has no dot.
+
+    Args:
+        ax: Axes to draw into.
+        row: Row on the vertical axis.
+        probability: The estimate.
+        bounds: Lower and upper bound, shape (2,).
+        colour: Colour of dot and line.
+    """
     ax.plot(bounds, [row, row], color=colour)
     if probability:
         ax.plot([probability], [row], "o", color=colour)

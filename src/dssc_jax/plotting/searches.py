@@ -62,7 +62,7 @@ def objective_text(objective: ObjectiveSummary) -> str:
 def history_panel(ax: Axes, tuned: Analysis) -> None:
     """Draw the objective along the search, and on a second axis the largest violation of a limit.
 
-    The objective is the proved number if the tuning has one, else that on training and validation draws.
+    The objective is the proved number if the tuning has one. Otherwise it is drawn on training and on validation draws.
     """
     data = tuned.dataset
     step = data["step"].values
@@ -87,7 +87,10 @@ def history_panel(ax: Axes, tuned: Analysis) -> None:
 
 
 def cost_panel(ax: Axes, tuned: Analysis, verdict: VerdictSummary) -> None:
-    """Draw the distribution functions of the fresh draws' costs at the start and at the result, and the objectives."""
+    """Draw the distribution functions of the fresh draws' costs at the start and at the result, with the objectives.
+
+    A draw without a cost counts as infinite, so its curve ends below 1.
+    """
     for name, colour, aggregate in zip(("start", "tuned"), (GREY, ORANGE), verdict["objective"], strict=True):
         cost = tuned.dataset[f"cost_{name}"].values
         sorted_costs = np.sort(np.where(np.isnan(cost), np.inf, cost))
@@ -117,7 +120,13 @@ def falsification(falsified: Analysis) -> Figure:
 
 
 def levels_panel(ax: Axes, falsified: Analysis, witness: Mapping[str, float]) -> None:
-    """Draw where the worst draw lies within each law; ``witness`` has its numbers by name, in the laws' order."""
+    """Draw where the worst draw lies within each law.
+
+    Args:
+        ax: Axes to draw into.
+        falsified: The return value of the falsification.
+        witness: Numbers of the worst draw by name, in the order of the study's laws.
+    """
     laws = falsified.study.laws
     levels = [float(level_of(laws[name], np.array([value]))[0]) for name, value in witness.items()]
     ax.plot(levels, range(len(levels)), "o", color=RED)
@@ -131,7 +140,7 @@ def finite_slack(falsified: Analysis) -> np.ndarray:
 
 
 def search_panel(ax: Axes, falsified: Analysis) -> None:
-    """Draw the slack of each simulation, and the worst one so far."""
+    """Draw the slack of each simulation, and the worst slack so far."""
     slack = finite_slack(falsified)
     simulations = falsified.dataset["simulations"]
     ax.plot(simulations, slack, ".", color=GREY, markersize=4, label="each simulation")

@@ -132,13 +132,25 @@ def is_log(values: np.ndarray) -> bool:
 
 
 def set_scale(ax: Axes, values: np.ndarray, direction: Direction = "x") -> None:
-    """Make an axis logarithmic if its values are positive and span a wide range, see :func:`is_log`."""
+    """Make an axis logarithmic if its values are positive and span a wide range, see :func:`is_log`.
+
+    Args:
+        ax: The axes.
+        values: All values on the axis.
+        direction: Which axis: ``x`` or ``y``.
+    """
     if is_log(values):
         set_log(ax, values, direction)
 
 
 def set_log(ax: Axes, values: np.ndarray, direction: Direction = "x") -> None:
-    """Make an axis of values logarithmic, with plain numbers at its ticks."""
+    """Make an axis of values logarithmic, with plain numbers at its ticks.
+
+    Args:
+        ax: The axes.
+        values: The values, at least one of which is finite; the finite ones must be positive.
+        direction: Which axis: ``x`` or ``y``.
+    """
     finite = values[np.isfinite(values)]
     if direction == "x":
         ax.set_xscale("log")
@@ -149,7 +161,13 @@ def set_log(ax: Axes, values: np.ndarray, direction: Direction = "x") -> None:
 
 
 def set_log_ticks(axis: Axis, low: float, high: float) -> None:
-    """Label a logarithmic axis from ``low`` to ``high`` with plain numbers; a short axis has more of them."""
+    """Label a logarithmic axis with plain numbers; the fewer decades it spans, the more numbers each decade has.
+
+    Args:
+        axis: The axis.
+        low: Lower end of its values.
+        high: Upper end of its values.
+    """
     decades = np.log10(high / low)
     if decades < 1.3:
         labelled_mantissas = (1.0, 2.0, 5.0)
@@ -164,11 +182,12 @@ def set_log_ticks(axis: Axis, low: float, high: float) -> None:
 
 
 def probability_top(largest: float, margin: float) -> float:
-    """Upper end of an axis of probabilities: just above the largest if that is below one half, else just above 1.
+    """Upper end of an axis of probabilities: just above the largest one if it is below one half, else just above 1.
 
     Args:
         largest: Largest probability that is drawn.
-        margin: Space above the largest probability, as a share of the axis; above 1 it is half as large.
+        margin: Space above the largest probability, relative to it. Above a probability of 1 the space is half as
+            large.
     """
     if largest >= 0.5:
         return 1.0 + 0.5 * margin

@@ -31,7 +31,7 @@ def study_value(result: Result, name: str) -> float | None:
 
 
 def reaches_study_value(result: Result, name: str) -> bool:
-    """Whether an axis includes the study's own value of its number."""
+    """Whether the values of an axis enclose the study's own value of the swept number."""
     value = study_value(result, name)
     axis = result.study.axes[name]
     return value is not None and min(axis) <= value <= max(axis)

@@ -56,7 +56,9 @@ MEDIAN_LIMIT: LineKey = ("the median at its limit", "-")
 
 @styled
 def sweep(result: Result) -> Figure:
-    """Plot a sweep over one axis as curves, over two as maps; further axes are held at their first value, and named.
+    """Plot a sweep over one axis as curves, or over two axes as maps.
+
+    Further axes are held at their first value, which the title names.
 
     Raises:
         ValueError: The result has no sweep.
@@ -70,7 +72,7 @@ def sweep(result: Result) -> Figure:
 
 
 def sweep_curves(result: Result) -> Figure:
-    """Plot the headline metric over one axis, and beside it the failure probability if there are requirements."""
+    """Plot the headline metric over one axis; with requirements, plot the failure probability beside it."""
     figure = Figure(figsize=SLIDE, layout="constrained")
     if result.study.requirements:
         left, right = figure.subplots(1, 2)
@@ -108,8 +110,8 @@ def sweep_maps(result: Result) -> Figure:
 def probability(result: Result, ax: Axes | None = None) -> Figure:
     """Plot the failure probability over the first one or two axes of a sweep, with its exact interval.
 
-    Along one axis the interval is a band. On a map, the solid contour is at a probability of one half, and beyond the
-    dashed one the upper bound of the interval exceeds 5 %.
+    Along one axis the interval is a band. On a map, the probability is one half on the solid contour, and the upper
+    bound of the interval exceeds 5 % beyond the dashed contour.
 
     Args:
         result: A sweep; axes beyond the second are held at their first value.
@@ -174,7 +176,7 @@ def required_text(result: Result) -> str:
 def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
     """Plot the median of a metric over the first one or two axes of a sweep.
 
-    Along one axis a band extends from the 5 to the 95 % quantile.
+    Along one axis, a band extends from the 5 % to the 95 % quantile.
 
     Args:
         result: A sweep; axes beyond the second are held at their first value.
@@ -200,7 +202,7 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
 def over_two_axes(result: Result) -> Result:
     """Reduce a result to its first two axes with several values, in ascending order, as a figure needs them.
 
-    The other axes are fixed at their first value, as the study lists them.
+    All other axes are fixed at the first value that the study lists.
 
     Raises:
         ValueError: The result has no sweep.
@@ -220,7 +222,7 @@ def ascending(result: Result, axes: Sequence[str]) -> Result:
 
 
 def fixed_parameters_text(result: Result) -> str:
-    """The swept parameters that a figure shows at one value only, as "; NAME = VALUE" each, to continue its title."""
+    """The swept parameters that a figure shows at one value only, each as "; NAME = VALUE", to continue the title."""
     names = [name for name in result.study.axes if name not in result.dataset.dims]
     return "".join(f"; {name} = {result.dataset[name].item():g}" for name in names)
 

@@ -26,14 +26,13 @@ def theory(
 ) -> Figure:
     """Plot local and simulated margins on the left, and oscillations beyond the local margin on the right.
 
-    The result of Theorem 1 for the walk of the first margins is written below, and marked by a line if it is on the
-    axis.
+    The result of Theorem 1 for the walk of the first margins is written below. If it is on the axis, a line marks it.
 
     Args:
-        margins: Margins over the same number, by criterion. Those of the sampled linearisation are dashed, those in
-            continuous time dotted.
-        oscillations: The return value of :func:`dssc_jax.analyses.theory.chattering`, by controller; without any, only
-            the left panel is drawn.
+        margins: Margins over the same number, by criterion. Those of the sampled linearisation are drawn dashed, those
+            in continuous time dotted.
+        oscillations: The return value of :func:`dssc_jax.analyses.theory.chattering`, by controller. If there are none,
+            only the left panel is drawn.
         local: Local critical value of the loop on the right whose gains are finite at the origin.
     """
     oscillations = oscillations or {}

@@ -28,7 +28,7 @@ WIND = ("wind_x", "wind_y", "wind_z")
 
 @styled
 def trajectory(run: xr.Dataset) -> Figure:
-    """Plot one draw over time: output, error, sigma, command, and the state-dependent functions if there are any.
+    """Plot one draw over time: output, error, sigma, command, and the controller's state-dependent functions, if any.
 
     For a plant of several channels, each channel has one row, with its command on the left and its error on the right.
 
@@ -125,7 +125,16 @@ class LineOptions(TypedDict, total=False):
 
 
 def line(ax: Axes, run: xr.Dataset, name: str, colour: str, text: str, **options: Unpack[LineOptions]) -> None:
-    """Draw one signal over time, with as many points as a figure can show."""
+    """Draw one signal over time, thinned to as many points as a figure can show.
+
+    Args:
+        ax: Axes to draw into.
+        run: The trajectory.
+        name: Name of the signal.
+        colour: Colour of the line.
+        text: Legend of the line.
+        options: Further options of the line.
+    """
     time, values = thinned(run["t"].values, run[name].values)
     ax.plot(time, values, color=colour, label=text, **options)
 
@@ -136,7 +145,10 @@ def bracketed_unit(run: xr.Dataset, name: str) -> str:
 
 
 def signal_label(run: xr.Dataset, name: str) -> str:
-    """An axis label of an output or a command: its meaning without symbol and the word "total", and its unit."""
+    """An axis label of an output or a command: its meaning and unit.
+
+    The symbol at the end of the meaning and the word "total" at its start are left out.
+    """
     attributes = run[name].attrs
     meaning = attributes["long_name"].removesuffix(" y").removesuffix(" u + u_n").removeprefix("total ")
     return label({"long_name": meaning, "units": attributes["units"]})
@@ -188,7 +200,13 @@ def flight(run: xr.Dataset) -> Figure:
 
 
 def mark_events(ax: Axes, run: xr.Dataset, with_names: bool) -> None:
-    """Mark the times of a draw's events by lines, and with ``with_names`` write their kinds above."""
+    """Mark the times of a draw's events by vertical lines.
+
+    Args:
+        ax: Axes to draw into.
+        run: The trajectory; without events, nothing is drawn.
+        with_names: Whether to write the kind of each event above its line.
+    """
     kinds = np.atleast_1d(run.attrs.get("event_kinds", []))
     times = np.atleast_1d(run.attrs.get("event_times", []))
     for kind, time in zip(kinds, times, strict=True):
@@ -222,7 +240,10 @@ def vehicle_panels(run: xr.Dataset) -> list[Callable[[Axes, xr.Dataset], None]]:
 
 
 def is_noise(run: xr.Dataset, channel: str) -> bool:
-    """Whether a channel's error and command are rounding noise, compared with its output and reference, or with 1."""
+    """Whether a channel's error and command are rounding noise.
+
+    They are if both are tiny relative to the largest output or reference, or to 1 if these are smaller.
+    """
     output_size = max(1.0, largest_magnitude(run, f"{channel}_y"), largest_magnitude(run, f"{channel}_y_ref"))
     signal_size = max(largest_magnitude(run, f"{channel}_e"), largest_magnitude(run, f"{channel}_u_total"))
     return signal_size <= ROUNDING_NOISE * output_size
@@ -273,7 +294,10 @@ def attitude(ax: Axes, run: xr.Dataset) -> None:
 
 
 def rotors(ax: Axes, run: xr.Dataset) -> None:
-    """Draw the commanded thrust of each rotor and its limit, and shade the times at which a rotor is at its limit."""
+    """Draw the commanded thrust of each rotor and the limit; shade the times at which a rotor is at its limit.
+
+    If the limit is far above all thrusts, the label names it in place of a line.
+    """
     endings = [str(name).removeprefix("rotor_") for name in run if str(name).startswith("rotor_")]
     numbers = [ending for ending in endings if ending.isdigit()]  # without rotor_limit and rotor_limited
     for index, number in enumerate(numbers):

@@ -45,7 +45,14 @@ class Drawing:
     elements: list[h.Element] = field(default_factory=list)
 
     def block(self, x: int, y: int, title: str, lines: Sequence[str] = ()) -> None:
-        """Add a block with its upper left corner at (x, y), a title, and up to two lines below it."""
+        """Add a block with a title and up to two lines below it.
+
+        Args:
+            x: Left edge [px].
+            y: Upper edge [px].
+            title: The title.
+            lines: The lines; empty ones are left out, and long ones are shortened.
+        """
         texts = [title, *(shorten(line) for line in lines if line)]
         baseline = y + HEIGHT // 2 - BASELINE_SKIP // 2 * (len(texts) - 1) + 5  # the lines stand around the middle
         labels = []
@@ -68,7 +75,7 @@ class Drawing:
             self.signal((x1 + x2) // 2, y1 - 7, label)
 
     def signal(self, x: int, y: int, name: str) -> None:
-        """Add the name of a signal."""
+        """Add the name of a signal at (x, y)."""
         self.elements.append(h.text(".signal", x=x, y=y)[name])
 
     def junction(self, x: int, y: int) -> None:
@@ -220,7 +227,12 @@ def last_field(name: str) -> str:
 
 
 def part_kind(study: Study, slot: str) -> str:
-    """The kind of a part of the loop; if the channels or measured signals have parts of their own, all their kinds."""
+    """The kind of a part of the loop; if channels or measured signals have different parts, the kinds of all of them.
+
+    Args:
+        study: The study.
+        slot: The kind of part, such as ``controller``.
+    """
     table = getattr(study.config, section_of(study.config, slot))
     common_kind = kind_in(study.config, slot)
     is_common = isinstance(table, list) or ("kind" in table and common_kind not in ABSENT)

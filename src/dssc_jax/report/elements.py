@@ -50,7 +50,12 @@ def number_with_meaning(name: h.Node, meaning: str, unit: str) -> list[h.Node]:
 
 
 def probability_text(share: float, bounds: Sequence[float]) -> str:
-    """Format a probability; in place of 0 it is the upper bound of the interval, as "≤ BOUND"."""
+    """Format a probability; in place of 0, the upper bound of the interval is written as "≤ BOUND".
+
+    Args:
+        share: The probability, as the share of failed draws.
+        bounds: Lower and upper bound of the interval.
+    """
     _, upper = bounds
     return number(share) if share else f"≤ {upper:.3g}"
 
@@ -82,7 +87,12 @@ def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]]
 
 
 def table_row(row: Sequence[h.Node], classes: Sequence[str | None]) -> h.Element:
-    """Make a row of a table, with the CSS class of each column; its first cell is a header."""
+    """Make a row of a table, whose first cell is a header.
+
+    Args:
+        row: Content of each cell.
+        classes: CSS class of each column; None: no class.
+    """
     name, *values = row
     cells = [h.td(class_=class_)[value] for value, class_ in zip(values, classes[1:], strict=True)]
     return h.tr[h.th(scope="row", class_=classes[0])[name], cells]
@@ -94,7 +104,12 @@ def figure(picture: h.Node, caption: h.Node) -> h.Element:
 
 
 def scrollable(name: str, content: h.Node) -> h.Element:
-    """Wrap content that may be wider than a screen, so that it scrolls separately, also by keyboard."""
+    """Wrap content that may be wider than a screen, so that it scrolls within the page, also by keyboard.
+
+    Args:
+        name: Name of the content, for screen readers.
+        content: The content.
+    """
     return h.div(".scroll", role="region", tabindex="0", aria_label=name)[content]
 
 
@@ -104,5 +119,11 @@ def facts(pairs: Sequence[tuple[str, h.Node]], class_: str = "facts") -> h.Eleme
 
 
 def collapsible(summary: str, body: h.Node, on_paper: bool = False) -> h.Element:
-    """Content that is hidden behind its summary until a reader expands it; with ``on_paper`` it is printed."""
+    """Make content that is hidden behind its summary until a reader expands it.
+
+    Args:
+        summary: The line that is always shown.
+        body: The content.
+        on_paper: Whether the content is printed even while it is hidden.
+    """
     return h.details(class_="printed" if on_paper else None)[h.summary[summary], body]

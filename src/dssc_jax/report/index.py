@@ -59,7 +59,7 @@ def indexed_folders(root: Path) -> Iterator[Path]:
 
 
 def folders_with_results(top: Path) -> list[Path]:
-    """Find the folders of results and analyses at and below a folder; those within another one are left out."""
+    """Find the folders of results and analyses at and below a folder; a folder within a found one is left out."""
     result_folders = []
     for place, subfolders, file_names in os.walk(top):
         if not DESCRIPTIONS.isdisjoint(file_names):

@@ -164,7 +164,14 @@ def write_page(text: str, path: Path, result: Result | Analysis | None = None) -
 
 
 def last_line(content: bytes, result: Result | Analysis) -> bytes:
-    """The comment at the end of a report, with a digest of the page, which finds truncation, and one of its result."""
+    """The comment at the end of a report, with two digests.
+
+    The digest of the page reveals a truncated file, and the digest of the result reveals a report that is out of date.
+
+    Args:
+        content: The page without this comment.
+        result: The result that the page shows.
+    """
     digest = hashlib.sha256(content).hexdigest()
     return f"\n<!-- dssc_jax: page {digest} of result {result_digest(result)} -->\n".encode()
 
@@ -177,7 +184,11 @@ def result_digest(result: Result | Analysis) -> str:
 
 
 def is_current(path: Path, result: Result | Analysis) -> bool:
-    """Whether a file is the complete report of a result in its present state, by the comment at the file's end."""
+    """Whether a file is the complete report of a result in its present state.
+
+    The comment at the file's end must be the one that :func:`last_line` gives. A file that cannot be read is not
+    current.
+    """
     try:
         content = files.read_bytes(path)
     except OSError:

@@ -45,7 +45,10 @@ CHATTERING_METRICS = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", 
 
 
 def outcome(subject: Subject) -> Section:
-    """Section on how the draws ended, with intervals; for a sweep, on its points and the draws of one of them."""
+    """Make the section on how the draws ended, with intervals.
+
+    For a sweep, the section has tables of its points, and of the draws of the one point that is shown in detail.
+    """
     if subject.result.study.axes:
         body = [*point_tables(subject), *outcome_tables(subject), integration(subject)]
         return Section("outcome", "The outcome", body)
@@ -152,7 +155,10 @@ def failure_cells(row: SummaryRow) -> tuple[str, str, str]:
 
 
 def point_tables(subject: Subject) -> list[h.Node]:
-    """Table of three points of a sweep, the best, the worst and the one shown in detail; and one of all points."""
+    """Make a table of three points of a sweep, and a collapsible table of all points.
+
+    The three points are the best one, the worst one, and the one that is shown in detail.
+    """
     study = subject.result.study
     points = subject.summary["points"]
     axes = [name_with_unit(name, study.quantities[name].unit) for name in study.axes]
@@ -363,7 +369,7 @@ def off_reference_sentence(subject: Subject) -> str:
 
 
 def headline_verdict(subject: Subject) -> tuple[str, str]:
-    """The failure probability in a few characters, and its counts and interval in one sentence."""
+    """The failure probability in a few characters, and the counts and the interval behind it in one sentence."""
     points = subject.summary["points"]
     if not subject.result.study.axes:
         point = points[0]  # a run has one

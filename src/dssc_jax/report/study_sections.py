@@ -88,10 +88,10 @@ def laws(subject: AnySubject) -> Section | None:
 
 
 def law_cells(study: Study, name: str) -> tuple[h.Node, ...]:
-    """Cells of an uncertain number: its label, law, density, median, and 5 and 95 % quantile.
+    """Cells of an uncertain number: its label, law, density, median, and 5 % and 95 % quantiles.
 
-    If the arguments of the law are ranges, the law in the middle gives the density, and the corners of the ranges give
-    the lowest and the highest quantile.
+    If the arguments of the law are ranges, the density is that of the law in the middle of the ranges. The quantiles
+    are then the lowest and the highest over the corners of the ranges.
     """
     law = study.written_laws[name]
     is_ranged = isinstance(law, RangedLaw)

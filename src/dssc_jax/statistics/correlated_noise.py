@@ -68,10 +68,13 @@ class SecondOrder(NamedTuple):
     damping: float
 
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transition matrices of the state over gaps [s], and the covariances they add; shape (n, 2, 2) each.
+        """Transition matrices F of the state over gaps [s], and the covariance that each gap adds; (n, 2, 2) each.
 
-        The covariance is 1 - F F' with the transition F. Over short gaps this cancels; there it is the integral of
-        4 zeta r r' over the gap, by Gauss and Legendre, where r is the response of the state to an impulse.
+        The covariance is 1 - F F'. Over short gaps the difference cancels, so there it is computed as the integral of 4
+        zeta r r' over the gap, by Gauss-Legendre quadrature, where r is the response of the state to an impulse.
+
+        Args:
+            gaps: Times between observations [s], shape (n,).
         """
         w = gaps / self.time
         transition = self.transition_over(w)

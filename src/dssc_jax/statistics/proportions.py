@@ -84,7 +84,7 @@ class FixedCount(NamedTuple):
         return "Clopper-Pearson"
 
     def confidence_per_look(self, confidence: float) -> float:
-        """Confidence of a statement on anything but failure: the nominal confidence, as there is one look."""
+        """The confidence itself: draws whose number was fixed in advance have a single look."""
         return confidence
 
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:

@@ -99,7 +99,10 @@ class UntilWidth:
         half = draws // 2
 
         def is_wide(failures: int) -> bool:
-            """Whether so many failures among a fixed number of draws leave the interval wide, or are above half."""
+            """Whether the interval is wide after this number of failures, for a fixed number of draws.
+
+            More than half of the draws failing counts as wide, because the boundary lies at or below half.
+            """
             low, high = clopper_pearson(min(failures, half), draws, self.confidence)
             return failures > half or bool(high - low > self.width)
 
