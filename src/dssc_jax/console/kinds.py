@@ -336,7 +336,10 @@ def show_kind(name: str) -> None:
     name.
 
     Args:
-        name: The name; :func:`entries_named` tells which names are refused.
+        name: The name, as for :func:`entries_named`.
+
+    Raises:
+        ConfigError: No kind, law, metric or field has the name.
     """
     entries = entries_named(name)
     if name in LAWS:

@@ -35,7 +35,7 @@ VERDICT_MARKS = {True: "yes", False: "no", None: "-"}
 
 
 def show_result(result: "Result") -> None:
-    """Print the failure probabilities of a run or a sweep with their intervals, what it cost, and its folder."""
+    """Print the failure probabilities of a run or a sweep with their intervals, the computing time, and the folder."""
     axes = result.study.axes
     show_required(result.study.name, [rule.text for rule in result.study.requirements])
     if result.has_equal_draws:
@@ -85,7 +85,7 @@ def show_times(result: "Result") -> None:
 
 
 def equal_draws_text(result: "Result") -> str:
-    """Tell that all draws are the same, that there is no interval therefore, and how to change it."""
+    """Tell that all draws are the same, so that an interval would mean nothing, and how to make the draws differ."""
     draws = result.study.config.draws
     remedy = "set draws = 1, or give uncertain numbers, disturbances or sensors their laws"
     text = f"nothing in the study is random, so all {draws} draws are the same, and there is no interval: {remedy}"

@@ -51,7 +51,7 @@ def study_changes(study: Study, positions: Positions) -> dict[str, Change]:
 def changed_law(name: str, law: Law, parts: Mapping[str, float]) -> dict[str, list[float]] | None:
     """Return the table of a law at positions of its sliders; None if all of its sliders are at their start.
 
-    A law with ranges always gives a table, because the sliders' study has single arguments in place of the ranges.
+    A law with ranges always gives a table, which has single arguments in place of the ranges.
 
     Args:
         name: Dotted name of the number, for messages.

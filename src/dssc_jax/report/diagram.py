@@ -205,7 +205,10 @@ def diagram_text(study: Study) -> str:
 
 
 def block_lines(study: Study, slot: str) -> list[str]:
-    """The lines below the title of a block: its kind, and which of its numbers are uncertain (~) or swept (⇄)."""
+    """The lines below the title of a block: the part's kind, and its numbers that are uncertain (~) or swept (⇄).
+
+    If there are more than two such numbers, only their count is given.
+    """
     table = getattr(study.config, slot)
     functions = table.get("functions") if isinstance(table, dict) else None
     functions_kind = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""

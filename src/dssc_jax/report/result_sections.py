@@ -121,7 +121,10 @@ def ending_rows(subject: Subject) -> list[tuple[h.Node, ...]]:
 
 
 def violation_rows(subject: Subject) -> list[tuple[h.Node, ...]]:
-    """Rows of the table of outcomes: how many draws violate each requirement, this one alone, and this one first."""
+    """Rows of the table of outcomes: how many draws violate each requirement, this one alone, and this one first.
+
+    The last cell is the median time of violation [s].
+    """
     rows: list[tuple[h.Node, ...]] = []
     pairs = zip(subject.point_result.study.requirements, subject.point_summary["requirements"], strict=True)
     for requirement, failures in pairs:
@@ -149,7 +152,7 @@ def joint_violations(point: SummaryRow, study: Study) -> list[h.Node]:
 
 
 def failure_cells(row: SummaryRow) -> tuple[str, str, str]:
-    """Cells with number, probability and interval of the failures at a point, or of one requirement there."""
+    """Cells with number, probability and interval of the failures at a point, or of one requirement's violations."""
     bounds = row["interval"]
     return f"{row['failures']:,}", probability_text(row["probability"], bounds), interval(bounds)
 

@@ -180,7 +180,7 @@ def study_file(study: Study, usage: h.Node) -> h.Element:
 
 
 def manifest_table(manifest: Manifest, name: str) -> Manifest:
-    """A table of the manifest; empty if it is damaged, since the report is then still of use."""
+    """A table of the manifest; empty if it is missing or damaged, because a report without it is still of use."""
     table = manifest.get(name)
     return table if isinstance(table, dict) else {}
 
