@@ -53,7 +53,7 @@ class BreakPointSensorParams(NamedTuple):
 
     Args:
         params: Parameters of the sensor without the addition.
-        addition: Signals that are added to the y and y' that it measures.
+        addition: Signals that are added to the y and y' of the plant before the sensor reads them.
     """
 
     params: Params
@@ -69,7 +69,16 @@ def with_addition(sensor: Sensor) -> Sensor:
     def sense(
         p: BreakPointSensorParams, z: State, m: Measurement, key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[State, Measurement]:
-        """The sensor's next state and its reading of the sum; z: its state, m: the plant's measurement."""
+        """The sensor's next state and its reading of the sum.
+
+        Args:
+            p: Parameters of the sensor, and the addition.
+            z: State of the sensor.
+            m: The plant's measurement.
+            key: Random key of this call.
+            t: Time [s].
+            dt: Sample time T_s [s].
+        """
         return sensor.step(p.params, z, Measurement(m.y + p.addition.y, m.y_dot + p.addition.y_dot), key, t, dt)
 
     return Sensor(BreakPointSensorParams, lambda p, m, key: sensor.init(p.params, m, key), sense)
@@ -134,8 +143,8 @@ def sample_map(
 
     Returns:
         ``(state, additions) -> (state after the sample, signals)``, all vectors. The state is the flattened
-        :class:`~dssc_jax.closed_loop.sample.LoopState`. Additions, and the signals before these are added, have one
-        element for each break point, in the order of :func:`place_names`.
+        :class:`~dssc_jax.closed_loop.sample.LoopState`. ``additions`` and ``signals`` have one element for each break
+        point, in the order of :func:`place_names`. The signals are those before the addition.
     """
     _, state_from_vector = ravel_pytree(initial_state(loop, params, key))
     loop_with_inputs = replace(
@@ -146,7 +155,7 @@ def sample_map(
     places = measured_places(loop.channels)
 
     def sample(state: jax.Array, additions: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The state after the sample, and the signal at each break point."""
+        """The state after the sample, and the signal at each break point before the addition."""
         at_input, at_output, at_rate = additions.reshape(len(loop.channels), len(BreakPoint)).T
         sensors = []
         for i, sensor in enumerate(params.sensor):

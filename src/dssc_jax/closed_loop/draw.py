@@ -106,7 +106,7 @@ def initial_progress(
 def integer_type() -> type[np.integer]:
     """The integer type as long as the loop's real numbers: int64 with float64, int32 with float32.
 
-    So a vector register of the processor holds as many integers as real numbers.
+    With equal lengths, a vector register of the processor holds as many integers as real numbers.
     """
     return np.int64 if jnp.result_type(float) == jnp.float64 else np.int32
 
@@ -154,13 +154,13 @@ def make_sample_step(
         key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.
-        freeze: Whether a draw that has ended also keeps its last state and accumulators, so that later values are
-            finite.
+        freeze: Whether a draw that has ended also keeps its last state and accumulators, so that all later numbers in
+            the time loop are finite.
     """
     advance = held_between_samples(loop, params)
 
     def sample(progress: Progress) -> tuple[Progress, Recorded]:
-        """The carry after one sample, and the signals of that sample."""
+        """The carry after one sample, and the signals of this sample."""
         state, recorded = step(loop, params, key, progress.state, progress.k, advance)
         accumulators = update_accumulators(
             measures, progress.accumulators, recorded.instant, progress.k, loop.sample_time

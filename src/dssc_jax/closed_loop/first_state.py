@@ -69,9 +69,9 @@ def initial_disturbances(loop: Loop, params: LoopParams, key: jax.Array) -> tupl
 def first_channel_readings(
     loop: Loop, params: LoopParams, key: jax.Array, measurements: Measurements
 ) -> tuple[tuple[State, ...], Measurements]:
-    """State of each channel's sensor before the first sample, and its reading at that sample, an angle in (-pi, pi].
+    """State of each channel's sensor before the first sample, and the sensor's reading at that sample.
 
-    A controller starts from this reading, not from the plant's output.
+    A controller starts from this reading, and not from the plant's output. An angle is in (-pi, pi].
 
     Args:
         loop: The models and the clock.

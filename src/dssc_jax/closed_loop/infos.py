@@ -39,7 +39,7 @@ def fields_of(info: Info, part: str) -> tuple[str, ...]:
 
     Args:
         info: A NamedTuple of signals, or () if the part reports nothing.
-        part: The part that reports it, such as ``plant``, for the message.
+        part: The part, such as ``plant``, for the message.
 
     Raises:
         ConfigError: The info has another form.

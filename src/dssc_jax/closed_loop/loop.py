@@ -133,12 +133,12 @@ class Loop:
         return PlantInput(zeros, zeros, wind=None, inputs=quiet_inputs(self.plant, params))
 
     def key(self, draw: jax.Array, slot: str, name: str = "") -> jax.Array:
-        """The random key of one part in one draw, the same whatever other parts a study has.
+        """The random key of one part in one draw; it does not depend on which other parts the study has.
 
         Args:
             draw: The draw's key.
             slot: The kind of part, such as ``sensor``.
-            name: Name of its channel, input or signal; empty for a part without one.
+            name: Name of the part's channel, input or signal; empty for a part without such a name.
         """
         return jax.random.fold_in(draw, stream(f"{slot}.{name}" if name else slot))
 
@@ -148,7 +148,7 @@ class Loop:
         Args:
             draw: The draw's key.
             slot: The kind of part, as for :meth:`key`.
-            name: Name of its channel, input or signal, or empty.
+            name: Name of the part's channel, input or signal; empty for a part without such a name.
             call: Number of the call: 0 for ``init``, and k + 1 for sample k.
         """
         return jax.random.fold_in(self.key(draw, slot, name), call)

@@ -35,11 +35,11 @@ TRACED_VALUES = (
 
 
 class PartFunction(NamedTuple):
-    """The role that a function of a user's own plays in a study.
+    """The role that a user's own function plays in a study.
 
     Args:
-        part: The part of the study that it belongs to, such as ``controller.x``.
-        field: Its name among the functions of such a part, such as ``step``.
+        part: The part of the study that the function belongs to, such as ``controller.x``.
+        field: Name of the function among those of such a part, such as ``step``.
     """
 
     part: str
@@ -74,7 +74,7 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
 
 
 def require_forms_of_steps(loop: Loop, state: LoopState, next_state: LoopState) -> None:
-    """Require that each part's ``step`` returns a state of the form that its state before the sample has.
+    """Require that each part's ``step`` returns a state of the same form as the state that it takes.
 
     Args:
         loop: The models and the clock.
@@ -205,7 +205,9 @@ def signals_at_start(loop: Loop, params: LoopParams) -> tuple[Measurements, Refe
 
 
 def check_results(loop: Loop, params: LoopParams) -> None:
-    """Require that the plant returns measurements, each sensor readings, and each controller state, command and info.
+    """Require that plant, sensors and controllers return values of the right types.
+
+    The plant must return measurements, each sensor a state and a reading, and each controller state, command and info.
 
     Raises:
         ConfigError: A part returns something else.
@@ -268,9 +270,9 @@ def initial_derivative(loop: Loop, params: LoopParams, state: LoopState) -> Stat
 
 
 def user_functions(loop: Loop) -> dict[CodeType, PartFunction]:
-    """The functions of a loop's parts that users wrote, by their code objects, which tracebacks contain.
+    """The functions of a loop's parts that users wrote, by their code objects.
 
-    A function is the user's own if its module does not belong to this package.
+    Tracebacks contain the code objects. A function is the user's own if its module does not belong to this package.
     """
     places = [("plant", loop.plant), ("reference", loop.reference), ("wind", loop.wind)]
     for slot in SLOTS_OF_CHANNELS:
@@ -298,7 +300,7 @@ def part_names(functions: dict[CodeType, PartFunction]) -> str:
 def faults_by_part(loop: Loop) -> Iterator[None]:
     """A context in which an exception becomes an error that names the user's part, function and line.
 
-    The exceptions of a loop without parts of the user's own pass unchanged.
+    If the loop has no parts of the user's own, exceptions pass unchanged.
 
     Raises:
         ConfigError: In place of the exception.
@@ -315,10 +317,11 @@ def faults_by_part(loop: Loop) -> Iterator[None]:
 
 
 def fault_of(error: Exception, functions: dict[CodeType, PartFunction]) -> ConfigError:
-    """The error that tells a user which function of theirs failed, and in which line.
+    """The error that tells users which of their functions failed, and in which line.
 
-    The function is the innermost of the user's own on the exception's traceback; the line is the innermost in a file of
-    that function's folder. Without such a function, the exception has followed from a value that one returned.
+    The function is the user's innermost one on the exception's traceback. The line is the innermost one in a file of
+    that function's folder. If no such function is on the traceback, the exception follows from a value that one
+    returned.
 
     Args:
         error: The exception.

@@ -61,7 +61,8 @@ class ChannelState(NamedTuple):
         reaching: The command that reaches the plant just before the sample.
         angle: The plant's last output, continuous in time [rad]; () if the output is no angle.
         reading: The last reading, continuous in time [rad]; () if the output is no angle.
-        signal: The last value of the output as a measured signal, continuous in time [rad]; () if it is no such angle.
+        signal: The last value of the output as a measured signal, continuous in time [rad]; () if the output is no
+            angle, or is no measured signal.
     """
 
     controller: State
@@ -144,7 +145,8 @@ def held_parts(loop: Loop) -> HeldParts:
 def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
     """Return the function that advances plant and unmodelled dynamics by a sample.
 
-    Call this before the time loop, so that matrices of exact solutions are computed once for a draw.
+    Call ``held_between_samples`` before the time loop, so that matrices of exact solutions are computed once for a
+    draw.
     """
     return between_samples(held_parts(loop), params.plant, params.unmodelled)
 
@@ -265,7 +267,7 @@ def next_input_states(
         key: The draw's random key.
         states: States of these disturbances before the sample.
         k: Index of the sample.
-        t: Its time [s].
+        t: Time of the sample [s].
     """
     next_states = []
     for i, name in enumerate(loop.input_names):

@@ -30,8 +30,8 @@ def until_all_ended(
 ) -> C:
     """Advance sample by sample until ``steps`` are done, or until no draw is running; returns the last carry.
 
-    All draws of a mapped axis share the loop, so k and all that depends on k alone stay scalars. The loop asks only
-    once in :data:`CHECK_INTERVAL` samples whether a draw is running.
+    All draws of a mapped axis share the loop, so k and all that depends on k alone stay scalars. To save time, the loop
+    checks only once in :data:`CHECK_INTERVAL` samples whether a draw is running.
 
     Args:
         sample: Advances the carry by one sample.

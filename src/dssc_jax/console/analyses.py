@@ -30,9 +30,10 @@ MOST_FACTORS = 3
 
 
 def show_comparison(comparison: Comparison, files: list[Path]) -> None:
-    """Print the failures of each controller and the difference of each pair, also with tuned gains if there are any.
+    """Print the failures of each controller and the difference of each pair, before and, if gains were tuned, after
+    tuning.
 
-    Untuned gains are the given ones, or those that correspond to DSSC's (Table 2).
+    The gains before tuning are the given ones, or those that correspond to the gains of DSSC (Table 2).
 
     Args:
         comparison: The comparison.

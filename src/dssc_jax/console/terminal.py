@@ -105,9 +105,9 @@ def progress_bar(
     announced = False
 
     def advance(completed: int, total: int | None) -> None:
-        """Move the bar to ``completed`` of ``total`` steps; the first call shows the bar.
+        """Move the bar to ``completed`` of ``total`` steps; the first call shows it.
 
-        Without a total, the completed steps are taken for it.
+        A total of None is unknown, and shows no share of the work.
         """
         nonlocal latest, limit, announced
         if compiles and not announced:

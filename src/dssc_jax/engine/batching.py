@@ -128,7 +128,7 @@ class Layout:
         return cls(tuple(entries["shape"]), tuple(entries["block"]))
 
     def to_dict(self) -> dict[str, list[int]]:
-        """For JSON."""
+        """The layout as plain data for JSON."""
         return {"shape": list(self.shape), "block": list(self.block)}
 
     @property
@@ -137,7 +137,7 @@ class Layout:
         return math.prod(map(min, self.shape, self.block))
 
     def index(self, block: Block) -> tuple[int, ...]:
-        """The number of a block along each dimension of the grid; of a part of a block, the number of that block."""
+        """The number of a block along each dimension of the grid; a part of a block has the number of its block."""
         return tuple(part.start // size for part, size in zip(block, self.block, strict=True))
 
     def blocks(self) -> list[Block]:
@@ -158,7 +158,7 @@ class Engine:
         lanes: Lanes of a batch; a smaller batch is padded.
         tile: Lanes of a tile, for the forms of XLA; None: chosen from the size of the batch.
         devices: Cores of a CPU, or GPUs, that share a batch; None: all.
-        clock: Its times and counts.
+        clock: Times and counts of the engine.
         program: Makes the program of a lane from the study.
         kernel: The form, see :func:`dssc_jax.engine.kernels.requested_form`.
         extra: Names of further numbers of each lane that the program needs.
@@ -371,7 +371,8 @@ def join_batches(batches: Sequence[Arrays]) -> Arrays:
 def is_noisy(engine: Engine) -> bool:
     """Whether the loop has in-loop noise, such as the noise of sensors.
 
-    It has if draws with equal numbers but other indices have other results: the index alone selects the noise.
+    The draw index alone selects the noise. So the loop is noisy if draws with equal numbers and different indices have
+    different results.
     """
     values = draw(engine.study, np.arange(PROBES) % engine.study.config.draws)
     results = evaluate(engine, values, np.arange(PROBES))

@@ -36,7 +36,7 @@ class Derivative(NamedTuple):
 
     Args:
         of: Name of the metric or slack.
-        by: Name of the study's number with respect to which it is differentiated.
+        by: Name of the study's number by which the metric or slack is differentiated.
     """
 
     of: str
@@ -166,7 +166,7 @@ def require_steps_in_any_order(study: Study, feature: str) -> None:
 
     Args:
         study: The study.
-        feature: The feature that needs it, for the message.
+        feature: The feature that needs such steps, for the message.
 
     Raises:
         ConfigError: The plant or a controller keeps its state outside of JAX.
@@ -213,8 +213,12 @@ class GradientEvaluator(Evaluator):
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
         """Results of each lane, as in :class:`Evaluator`, and their derivatives.
 
+        Args:
+            indices: Draw index of each lane, shape (n,).
+            values: Value of every number with a law or in ``extents``, shape (n,) each.
+
         Raises:
-            ConfigError: A controller is native code.
+            ConfigError: The plant or a controller is native code.
         """
         require_derivatives(self.swept)
         numbers = dict(values) | self.engine.margins(dict(values), indices)
@@ -233,7 +237,11 @@ class GradientEvaluator(Evaluator):
     def _flights(self, indices: np.ndarray, values: Arrays) -> Arrays:
         """Results and derivatives of the simulation, with the margins of the linearised loop as constants.
 
-        In forward mode all lanes run once for each number, first all for the first number, then all for the second.
+        In forward mode, all lanes run once for the first number, then once for the second, and so on.
+
+        Args:
+            indices: Draw index of each lane, shape (n,).
+            values: All numbers of each lane by name, shape (n,).
         """
         if self.reverse:
             return super().__call__(indices, values)
@@ -307,7 +315,8 @@ def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, 
 def forward_mode(study: Study, names: Sequence[str]) -> Lane:
     """Return the program of a lane in forward mode.
 
-    It differentiates by the number that :data:`DIRECTION` selects among ``names``.
+    The program differentiates by one number; :data:`DIRECTION`, a further number of the lane, is its index in
+    ``names``.
     """
     plain = lane_of_study(study)
 
@@ -353,7 +362,7 @@ def require_independent(study: Study, purpose: str) -> None:
 
     Args:
         study: The study.
-        purpose: What needs them, for the message.
+        purpose: What needs independent draws, for the message.
 
     Raises:
         ConfigError: The study's draws are points of a Sobol or Latin-hypercube design.

@@ -94,7 +94,7 @@ class IntegrationError(NamedTuple):
         return f"the integration between the samples is too coarse: {self.text}; {remedy}"
 
     def to_dict(self) -> JsonObject:
-        """For JSON; an infinite change is None."""
+        """The error as plain data for JSON, where None stands for an infinite change."""
         finite = self.change if np.isfinite(self.change) else None
         return self._asdict() | {"change": finite, "text": self.text, "warning": self.warning}
 

@@ -74,8 +74,11 @@ def requested_form(choice: str = "") -> str:
 def gpu_name(choice: str) -> str:
     """Name of the GPU that a form runs on.
 
+    Args:
+        choice: Name of the form, for the message.
+
     Raises:
-        ConfigError: The machine has none that can run lanes.
+        ConfigError: The machine has no GPU that can run lanes.
     """
     try:
         return driver().name

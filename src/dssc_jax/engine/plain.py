@@ -83,14 +83,17 @@ class PlainBatch:
             return np.pad(column, (0, padding), mode="edge").astype(dtype).reshape(shape)
 
         def as_lanes(array: jax.Array) -> np.ndarray:
-            """The results of the batch's lanes, without those that fill the last tiles."""
+            """The results of the batch's lanes; lanes that only fill the last tiles are left out."""
             return np.asarray(array).reshape(-1, *array.shape[2:])[:count]
 
         columns = {name: as_tiles(column, self._real) for name, column in values.items()}
         tiled_results = self._run(columns, as_tiles(index, np.uint32))
 
         def finish() -> tuple[Any, float]:
-            """Wait for the batch; the time is an upper bound, because XLA does not report the end."""
+            """Wait for the batch, and return its results and the time at which it ended.
+
+            The time is an upper bound, because XLA does not report when it ends.
+            """
             return jax.tree.map(as_lanes, tiled_results), time.perf_counter()
 
         return finish

@@ -50,7 +50,8 @@ def require_values(study: Study, values: Values) -> None:
         values: Numbers by their dotted names.
 
     Raises:
-        ConfigError: A value is missing, a name has no value of its own in a trace, or JAX has another precision.
+        ConfigError: A value is missing, a name is not that of a number that a trace can set, or JAX has another
+            precision.
     """
     for name in (*study.axes, *study.laws):
         if name not in values:
@@ -98,9 +99,9 @@ class LaneFunction:
         """Metrics, slacks, outcome and time of the early end of one draw.
 
         Args:
-            values: The draw's numbers by dotted name: each uncertain or swept one, and any other that is to differ from
-                the study's. Expressions follow from these values. Quantities that a model computed from the study's
-                numbers before tracing keep their values; ``study.override`` computes them again.
+            values: The draw's numbers by dotted name: every uncertain or swept number, and any other number that
+                differs from the study's. Expressions follow from these values. Quantities that a model computed from
+                the study's numbers before tracing keep their values; ``study.override`` computes them again.
             index: Index of the draw, which selects its noise.
 
         Raises:
@@ -179,8 +180,11 @@ class Stepper:
 
         Every call computes the matrix exponentials of linear parts again.
 
+        Args:
+            state: The state before the sample.
+
         Returns:
-            The next state, and a record of this sample. It has the signals of each channel
+            The next state, and a record ``info`` of this sample. The record has the signals of each channel
             (``info.instant.channels``), the plant's outputs, the desired outputs, and inputs and outputs of the
             controllers (``info.controlled``). It also tells whether the state is still finite and the model valid.
         """

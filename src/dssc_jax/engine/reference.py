@@ -50,7 +50,7 @@ class Agreement(NamedTuple):
 
     Args:
         deviation: Largest relative deviation of a value in each lane, shape (n,); infinite where outcomes differ.
-        variable: Name of that value, shape (n,).
+        variable: Name of the variable with the largest deviation in each lane, shape (n,).
         allowed: Deviation that rounding explains in each lane, shape (n,).
     """
 
@@ -60,15 +60,15 @@ class Agreement(NamedTuple):
 
     @property
     def decided(self) -> np.ndarray:
-        """Whether each lane is evidence, because rounding alone hardly changes it, shape (n,)."""
+        """Whether each lane is evidence, because rounding alone hardly changes the lane, shape (n,)."""
         return self.allowed <= UNDECIDED_BEYOND
 
     @property
     def verdict(self) -> str:
         """The verdict, a key of :data:`VERDICTS`.
 
-        ``differs``: rounding does not explain the deviation of a lane that is evidence. ``undecided``: no lane is
-        evidence. ``agrees``: all others.
+        It is ``differs`` if the deviation of a lane that is evidence exceeds what rounding explains, ``undecided`` if
+        no lane is evidence, and otherwise ``agrees``.
         """
         is_unexplained = self.decided & (self.deviation > self.allowed)
         if np.any(is_unexplained):
@@ -156,13 +156,13 @@ def stored_lanes(dataset: xr.Dataset, names: Iterable[str], lanes: Lanes) -> Arr
 def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping[str, np.ndarray]) -> Agreement:
     """Compare n lanes of a stored result with the values of another program.
 
-    Lanes that deviate by more than rounding alone explains run again in copies with changed last bits. These tell how
-    much of the deviation the loop's own amplification of rounding explains.
+    Lanes that deviate by more than rounding alone explains run again, in copies with changed last bits. The copies tell
+    how much of the deviation the loop explains by its own amplification of rounding.
 
     Args:
         study: The study.
-        dataset: The result.
-        lanes: The lanes.
+        dataset: The stored result.
+        lanes: Indices of the lanes along each axis of the sweep and along the draws, shape (n,) each.
         computed: Variables of the result by the other program, shape (n,) each.
     """
     stored_values = stored_lanes(dataset, computed, lanes)
@@ -244,7 +244,10 @@ def deviations(
 
 
 def sample_changes(study: Study) -> dict[str, float]:
-    """The change of each variable that counts samples if one sample is added, by name, in the variable's unit."""
+    """The change of each variable that counts samples if one sample is added, by name, in the variable's unit.
+
+    Times and shares of the time count samples. A little is added to each change for rounding.
+    """
     with_rounding = 1.0 + 1e-6
     period = with_rounding * study.loop.sample_time
     one_sample = {"s": period, "1": with_rounding * (1.0 / study.loop.steps)}  # by unit: a time, a share of the time

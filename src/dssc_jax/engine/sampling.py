@@ -29,7 +29,7 @@ SOBOL_BITS = 30  # of a coordinate; scipy's fast_forward knows words of 32 bits 
 
 
 def draw_key(seed: jax.Array | int, index: jax.Array | int) -> jax.Array:
-    """The random key of a draw, from which all its in-loop noise follows.
+    """The random key of a draw, from which all in-loop noise of the draw follows.
 
     Args:
         seed: The study's seed.
@@ -42,7 +42,7 @@ def draw_key(seed: jax.Array | int, index: jax.Array | int) -> jax.Array:
 def level_program() -> CompiledLanes:
     """Compile, once, the program that draws the level of an uncertain number.
 
-    It maps (seed, draw index, stream of the number) to a uniform random number in [0, 1).
+    The program maps (seed, draw index, stream of the number) to a uniform random number in [0, 1).
     """
 
     def level(seed: jax.Array, index: jax.Array, stream: jax.Array) -> jax.Array:
@@ -86,18 +86,18 @@ def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -
 
 
 def generator(*words: int) -> np.random.Generator:
-    """A random generator of NumPy; each tuple of words gives an independent one."""
+    """A random generator of NumPy that the words select; generators of different words are independent."""
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
 def sobol_points(dimension: int, start: int, end: int, words: Sequence[int]) -> np.ndarray:
-    """Points of a scrambled Sobol sequence, at cell centres.
+    """Points of a scrambled Sobol sequence, moved to the centres of their cells.
 
     Args:
         dimension: Number of coordinates.
         start: Index of the first point.
         end: Index behind the last point.
-        words: Words that the scrambling is drawn from.
+        words: Words that select the random scrambling.
 
     Returns:
         Shape (end - start, dimension).
@@ -198,7 +198,7 @@ def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
 
 
 def inside_cube(points: np.ndarray) -> np.ndarray:
-    """Points moved to the inside of the unit cube, because quantiles may be infinite on its faces."""
+    """Points moved to the inside of the unit cube, because a law's quantile may be infinite on a face of the cube."""
     return np.clip(points, OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL)
 
 
@@ -228,7 +228,7 @@ def values_at_levels(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
 
     Args:
         study: The study.
-        levels: A probability for each law, in which correlations are contained already, shape (n, laws).
+        levels: Level of each number in its law, in (0, 1), shape (n, laws); correlations are contained already.
     """
     values = {}
     for column, (name, law) in enumerate(study.laws.items()):
@@ -239,8 +239,8 @@ def values_at_levels(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
 def score_mixing_matrix(study: Study) -> np.ndarray:
     """The matrix M that correlates the laws' scores, shape (laws, laws).
 
-    For independent standard normal scores z, M z are the scores of the Gaussian copula: M is the Cholesky factor of its
-    correlation matrix.
+    M is the Cholesky factor of the copula's correlation matrix. If z are independent standard normal scores, M z are
+    scores of the Gaussian copula.
     """
     names = list(study.laws)
     matrix = np.eye(len(names))

@@ -16,8 +16,8 @@ from dssc_jax.study import Study
 def unread_numbers(study: Study) -> list[str]:
     """Names of the uncertain numbers of user-defined parts on which no result of a flight depends.
 
-    The traced program tells them, not values, so a limit that no flight reaches counts as read. A parameter from which
-    such a number follows may still have an effect elsewhere.
+    The traced program decides, and not values. So a limit that no flight reaches counts as read. A parameter that
+    follows from an unread number may still have an effect elsewhere.
     """
     slots = {function.part.partition(".")[0] for function in user_functions(study.loop).values()}
     if not slots or not study.laws:

@@ -269,7 +269,12 @@ class ProbabilityFigure:
         self.figure.toolbar_location = None
 
     def show(self, run: LiveRun, previous: LiveRun | None) -> None:
-        """Show a run, and the previous run for comparison; None: there is no other run."""
+        """Show a run beside the previous run.
+
+        Args:
+            run: The run.
+            previous: The previous run; None: there is none.
+        """
         runs = {"now": run}
         colours = [BLUE]
         if previous is not None:

@@ -45,7 +45,7 @@ PROGRAMS = 6
 
 
 def ignore_notice(text: str) -> None:
-    """Do nothing with a description of the work."""
+    """Do nothing with a description of the work: the notice of a caller who wants none."""
 
 
 Notice: TypeAlias = Callable[[str], None]
@@ -126,7 +126,7 @@ class LiveRun:
     def slack(self) -> np.ndarray:
         """Smallest relative slack of each draw, shape (draws,).
 
-        Without requirements it is minus the largest |error|, and -inf for a draw that ended early.
+        Without requirements, it is minus the largest |error|, or -inf for a draw that ended early.
         """
         if self.study.requirements:
             return worst_slack(self.study.requirements, self.results)
@@ -162,7 +162,10 @@ class LiveRun:
 
 
 def usual_draws(study: Study) -> int:
-    """Return the number of draws of a page: fewer for a vehicle, the study's if its draws are points of a design."""
+    """Return the number of draws of a page; it is smaller for a vehicle.
+
+    If the study's draws are points of a design, the page keeps the study's number.
+    """
     if not study.config.independent:
         return study.config.draws
     return VEHICLE_DRAWS if len(study.loop.channels) > 1 else DRAWS
@@ -205,7 +208,7 @@ class LiveStudy:
         """Return the study at positions of the sliders.
 
         Raises:
-            ConfigError: The study is not valid there; the message names the number and gives the rule.
+            ConfigError: The study is not valid at these positions; the message names the number and gives the rule.
         """
         return self.base.override(study_changes(self.swept, positions))
 
@@ -213,7 +216,7 @@ class LiveStudy:
         """Return the study at positions of the sliders, in which arguments of laws are still ranges.
 
         Raises:
-            ConfigError: The study is not valid there.
+            ConfigError: The study is not valid at these positions.
         """
         return self.study_at(positions).with_laws(self.ranged.ranged_laws)
 
@@ -222,14 +225,14 @@ class LiveStudy:
 
         Args:
             positions: Position of each slider.
-            stale: Whether a newer request has come; asked after each batch of draws.
-            progress: Called with a description of the work, once it takes longer than :data:`QUIET_SECONDS`.
+            stale: Returns whether a newer request has come; called after each batch of draws.
+            progress: Called with a description of the work, once the work takes longer than :data:`QUIET_SECONDS`.
 
         Returns:
             The run; None if a newer request has made it stale.
 
         Raises:
-            ConfigError: The study is not valid there.
+            ConfigError: The study is not valid at these positions.
         """
         study = self.study_at(positions)
         program = self._program(study, progress)
@@ -293,9 +296,9 @@ def has_vehicle(study: Study) -> bool:
 
 
 def recorded_signals(study: Study) -> list[str]:
-    """Return names of the signals that a page records: output, its reference, error and command of each channel.
+    """Return names of the signals that a page records: output, reference, error and command of each channel.
 
-    Of a vehicle, the attitude is recorded, too.
+    For a vehicle, the attitude is recorded, too.
     """
     signals = []
     for channel in study.loop.channels:

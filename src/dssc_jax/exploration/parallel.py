@@ -42,7 +42,7 @@ class ParallelAxes:
     def __init__(self, table: DrawTable, source: ColumnDataSource, script: str, colours: dict[str, list[int]]) -> None:
         """Choose the columns that get an axis, and make the figure.
 
-        The lines are painted once the page has its layout, because their picture depends on its width.
+        The page paints the lines as soon as it has its layout.
         """
         self.names = parallel_columns(table)
         ends = [finite_ends(table.columns[name]) for name in self.names]

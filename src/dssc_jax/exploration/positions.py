@@ -81,8 +81,8 @@ def changed_law(name: str, law: Law, parts: Mapping[str, float]) -> dict[str, li
 def slider_positions(slider: Slider) -> tuple[float, ...]:
     """Return the positions of a slider in increasing order.
 
-    The ends and the start are exact, the others are rounded to four significant digits. No two positions have the same
-    :func:`position_text`.
+    The ends and the start are exact, and the other positions are rounded to four significant digits. No two positions
+    have the same :func:`position_text`.
     """
     if slider.steps:
         return slider.steps

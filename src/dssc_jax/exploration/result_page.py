@@ -117,7 +117,7 @@ class ResultPage(Page):
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Rows from the worst to the best, by smallest slack; among equals an early end comes first."""
+        """Rows from the worst to the best, by smallest slack; of equal rows, an early end comes first."""
         requirements = self.result.study.requirements
         lanes = {}
         for name in ("outcome", "failed_at", *(requirement.name for requirement in requirements)):
@@ -211,7 +211,7 @@ class ResultPage(Page):
     def pin_draw(self) -> None:
         """Pin the present flight, so that it stays when another draw is replayed.
 
-        Nothing happens if all colours but the present flight's are taken.
+        Each pinned flight has its own colour. Nothing happens if only the colour of the present flight is left.
         """
         most_pinned = len(COLOURS) - 1
         if self.flight is not None and len(self.pinned) < most_pinned:

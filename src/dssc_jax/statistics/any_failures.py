@@ -14,11 +14,11 @@ from dssc_jax.statistics.normal_moves import (
 
 @dataclass(frozen=True)
 class AnyFailures:
-    """Bounds of the failure probability under changed laws, from its interval alone.
+    """Bounds of the failure probability under changed laws, from the interval of the failure probability alone.
 
-    They hold for any set of failing draws, so that no draws are needed. In each method ``free`` tells which laws change
-    (bool, shape (laws,)). A shift moves each mean by at most so many standard deviations, up or down; a widening
-    multiplies each width by a factor from 1 to a relative width.
+    The bounds hold for any set of failing draws, so the draws themselves are not needed. In each method ``free`` tells
+    which laws change (bool, shape (laws,)). A shift moves each mean by at most a number of standard deviations, up or
+    down. A widening multiplies each width by a factor from 1 to a relative width.
 
     Args:
         precision: Inverse of the scores' correlation matrix, shape (laws, laws).
@@ -51,7 +51,10 @@ class AnyFailures:
         return largest_distance(high, limit) / self.unit_shift_length(free)
 
     def largest_widening(self, free: np.ndarray, limit: float) -> float | None:
-        """Largest relative width at which the failure probability cannot exceed the limit; None if correlated."""
+        """Largest relative width at which the failure probability cannot exceed the limit.
+
+        A widening of correlated laws has no such bound, so the result is then None.
+        """
         if not self.is_uncorrelated(free):
             return None
         _, high = self.interval
@@ -64,7 +67,10 @@ class AnyFailures:
         return worst_when_moved(low, -distance), worst_when_moved(high, distance)
 
     def interval_after_widening(self, free: np.ndarray, width: float) -> tuple[float, float] | None:
-        """Interval of the failure probability after any widening up to this relative width; None if correlated."""
+        """Interval of the failure probability after any widening up to a relative width.
+
+        A widening of correlated laws has no such bound, so the result is then None.
+        """
         if not self.is_uncorrelated(free):
             return None
         low, high = self.interval

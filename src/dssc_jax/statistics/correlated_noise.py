@@ -45,7 +45,7 @@ class FirstOrder(NamedTuple):
     time: float
 
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transition matrices of the state over gaps [s], and the variances they add; shape (n, 1, 1) each."""
+        """Transition factor of the state over gaps [s], and the variance that each gap adds; shape (n, 1, 1) each."""
         w = (gaps / self.time)[:, None, None]  # gaps in time constants
         return np.exp(-w), -np.expm1(-2.0 * w)
 
@@ -112,10 +112,10 @@ class SecondOrder(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """Noise whose correlated part p, the drift, is the integral of first-order noise v, both starting at 0.
+    """Noise whose correlated part p, the drift, is the integral of first-order noise v; both start at 0.
 
-    Noise inside a velocity loop drives the position like this. The variance of p grows with time; p is scaled so that
-    the mean of its variance over the span is 1. For a short T the drift is a random walk.
+    Noise inside a velocity loop drives the position like this. The variance of p grows with time. p is scaled so that
+    its variance has the mean 1 over the span. For a short T the drift is a random walk.
 
     Args:
         share: Share c of the variance in the drift, in [0, 1).
@@ -146,7 +146,7 @@ class Drift(NamedTuple):
 
     @property
     def mean_square(self) -> float:
-        """Mean over the span of the variance of p before it is scaled, where v tends to the variance 1."""
+        """Mean over the span of the variance of the unscaled p, for a v whose variance tends to 1."""
         w = self.span / self.time
         decay = math.exp(-w)
         return w - 3.0 + (4.0 * (1.0 - decay) - 0.5 * (1.0 - decay**2)) / w
@@ -203,9 +203,9 @@ def correlation_time(noise: Noise) -> float:
 
 
 def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> float:
-    """Effective sample size: the number of independent samples that tell the noise's variance as precisely as these n.
+    """Effective sample size: the number of independent samples that determine the variance as precisely as these n.
 
-    It is (tr S)^2/tr(S^2) with the covariance S of the noise.
+    With the covariance S of the noise it is (tr S)^2/tr(S^2).
 
     Args:
         noise: Noise of unit variance.
@@ -238,7 +238,7 @@ class StatePrecision(NamedTuple):
 
     Args:
         bands: Lower bands of the matrix, as SciPy stores them, shape (2 p, n p).
-        log_determinant: Logarithm of its determinant.
+        log_determinant: Logarithm of the matrix's determinant.
         size: Length p of a state.
     """
 

@@ -112,7 +112,7 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
 
 
 def departure_ranks(largest: np.ndarray) -> np.ndarray:
-    """Rank of each curve in each signal: how many curves, itself included, depart at least as far.
+    """Rank of each curve in each signal: the number of curves, including itself, that depart at least as far.
 
     Args:
         largest: Largest departures, NaN in a signal without spread, shape (n + 1, signals).
@@ -160,9 +160,9 @@ def continuous_ranks(largest: np.ndarray) -> np.ndarray:
 def extremeness(largest: np.ndarray) -> np.ndarray:
     """Statistic of each curve for the rank test, larger for a more extreme curve, shape (n + 1,).
 
-    Curves are compared by their smallest continuous rank over the signals, then by their second smallest, and so on;
-    curves with equal ranks, by their largest departure. The statistic is the place in this order, 0 for the least
-    extreme curve; NaN if no signal has spread.
+    Curves are compared by their smallest continuous rank over the signals, then by their second smallest, and so on.
+    Curves with equal ranks are compared by their largest departure. The statistic is the place in this order, 0 for the
+    least extreme curve; NaN if no signal has spread.
 
     Args:
         largest: Largest departures, NaN in a signal without spread, shape (n + 1, signals).
@@ -202,7 +202,7 @@ class Yardstick(NamedTuple):
 
     @classmethod
     def of(cls, curves: np.ndarray) -> "Yardstick":
-        """Median and spread of curves; a signal in which all curves are equal, but for rounding, has no spread.
+        """Median and spread of curves; a signal has no spread if all of its curves are equal up to rounding.
 
         Args:
             curves: Shape (n, signals, times); at least one must be finite at each time.

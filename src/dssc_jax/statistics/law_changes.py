@@ -16,7 +16,7 @@ import numpy as np
 class Change(ABC):
     """A family of changed laws of the scores, such as all shifted laws.
 
-    Its size is the largest amount of a change.
+    Each member has one amount of change per number. The size of a member is its largest amount.
 
     Args:
         precision: Inverse of the correlation matrix R, shape (numbers, numbers).
@@ -37,7 +37,7 @@ class Change(ABC):
 
     @abstractmethod
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Logarithm of each draw's importance weight: its density under the changed law over its present density.
+        """Logarithm of each draw's importance weight: the changed density of the draw over its present density.
 
         Args:
             amounts: Amount of the change of each number, shape (numbers,).
@@ -64,7 +64,8 @@ class Change(ABC):
     def log_second_moment(self, amounts: np.ndarray) -> float:
         """Logarithm of the mean squared weight under the unchanged law, shape (); infinite if the mean is infinite.
 
-        It tells how uneven the weights are: n draws are worth n/(mean squared weight) draws of the changed law.
+        The mean squared weight tells how uneven the weights are: n draws are worth n/(mean squared weight) draws of the
+        changed law.
 
         Args:
             amounts: Amount of the change of each number, shape (numbers,).
@@ -103,7 +104,7 @@ class Shift(Change):
         return size
 
     def limits(self, size: float) -> tuple[float, float]:
-        """A mean may move up or down by the size."""
+        """Least and greatest shift of each mean [standard deviations]: a mean may move up or down by the size."""
         return -size, size
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
@@ -151,7 +152,7 @@ class Widening(Change):
         return math.exp(size)
 
     def limits(self, size: float) -> tuple[float, float]:
-        """A law may become wider, never narrower."""
+        """Least and greatest amount of each number: a law may become wider (amount > 0), and never narrower."""
         return 0.0, size
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ def mass_within(distance: np.ndarray | float, numbers: int) -> np.ndarray:
 def distance_of_mass(mass: float, numbers: int) -> float:
     """Distance from 0 within which independent standard normal scores lie with probability ``mass``.
 
-    It is the inverse of :func:`mass_within`.
+    The function is the inverse of :func:`mass_within`.
 
     Args:
         mass: Probability, in [0, 1).

@@ -44,7 +44,7 @@ class Look(NamedTuple):
 class Counts(NamedTuple):
     """Law of a number of failures: the probabilities of consecutive numbers.
 
-    They add up to less than 1 where tests have stopped already, or where negligible probabilities are left out.
+    The probabilities add up to less than 1 if some tests have stopped already, or if negligible ones are left out.
 
     Args:
         first: Smallest number of failures.
@@ -78,7 +78,12 @@ class Counts(NamedTuple):
 
 
 def binomial(draws: int, probability: float) -> Counts:
-    """Binomial law of the failures in a number of draws, within :data:`REACH` standard deviations of the mean."""
+    """Law of the failures in a number of draws: binomial, cut at :data:`REACH` standard deviations from the mean.
+
+    Args:
+        draws: Number of draws.
+        probability: Failure probability of a draw.
+    """
     mean = draws * probability
     half = REACH * math.sqrt(mean * (1.0 - probability)) + 2.0 * REACH  # the last term matters if the mean is small
     first = max(math.floor(mean - half), 0)
@@ -129,6 +134,8 @@ def multistage_interval(looks: Sequence[Look], failures: int, confidence: float)
 def upper_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
     """Failure probability above which a stop at or before the observed stop is less probable than ``tail``.
 
+    Stops are in the order of :func:`stops_by`.
+
     Args:
         looks: All looks up to the observed stop.
         failures: Number of failures at the last look.
@@ -145,6 +152,8 @@ def upper_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
 
 def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
     """Failure probability below which a stop at or after the observed stop is less probable than ``tail``.
+
+    Stops are in the order of :func:`stops_by`.
 
     Args:
         looks: All looks up to the observed stop.
@@ -170,7 +179,7 @@ def stopped_high(looks: Sequence[Look], failures: int) -> bool:
 
 
 def mirror(looks: Sequence[Look]) -> list[Look]:
-    """The looks of the same test if it counts passes instead of failures: the boundaries change places."""
+    """The looks of the same test if passes are counted instead of failures: the two boundaries change places."""
     return [Look(look.draws, lower=look.draws - look.upper, upper=look.draws - look.lower) for look in looks]
 
 

@@ -25,7 +25,7 @@ MOST_DAMPING = 0.98
 
 
 def sigmoid(x: float) -> float:
-    """The share with a given logit, which is limited to +-:data:`LARGEST_LOGIT`."""
+    """The share with a given logit; logits beyond +-:data:`LARGEST_LOGIT` count as this limit."""
     return float(special.expit(np.clip(x, -LARGEST_LOGIT, LARGEST_LOGIT)))
 
 
@@ -39,7 +39,7 @@ class TimeScale(NamedTuple):
 
     Args:
         gap: Median gap between two times [s].
-        span: Time from the first to the last [s].
+        span: Time from the first to the last observation [s].
     """
 
     gap: float
@@ -124,7 +124,7 @@ def noise_of_share(simulated: SimulatedNoise, point: np.ndarray, scale: TimeScal
     Args:
         simulated: The noise of simulations.
         point: The standard normal score, shape (1,).
-        scale: The time scale, on which a simulated shape does not depend.
+        scale: The time scale, a part of the contract of a kind of noise; a simulated shape does not depend on it.
     """
     (share_score,) = point
     return simulated._replace(share=sigmoid(logit(simulated.share) + SHARE_WIDTH * share_score))

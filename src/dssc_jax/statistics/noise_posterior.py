@@ -85,12 +85,15 @@ class Mode(NamedTuple):
 
 
 def noise_of_simulations(times: np.ndarray, simulated: np.ndarray, white: float) -> tuple[SimulatedNoise, float] | None:
-    """Model simulated disturbances plus white noise; return noise and variance, or None if they are 0 or not finite.
+    """Model simulated disturbances plus white noise; return the noise and its variance.
 
     Args:
         times: Times of the readings [s], shape (n,).
         simulated: Simulations of what disturbs the readings, shape (m, n).
         white: Variance of the white noise.
+
+    Returns:
+        The noise of unit variance, and the variance; None if the simulations are 0 or not finite.
     """
     shape = NoiseShape.of(separate_times(times), simulated)
     if shape is None:
@@ -102,7 +105,9 @@ def noise_of_simulations(times: np.ndarray, simulated: np.ndarray, white: float)
 
 
 def separate_times(times: np.ndarray) -> np.ndarray:
-    """Stretch gaps between times [s] that are shorter than :data:`LEAST_GAP` median gaps to that length, shape (n,).
+    """Times in which every gap is at least :data:`LEAST_GAP` median gaps long, shape (n,).
+
+    Shorter gaps are stretched to that length, and all later times move with them.
 
     Args:
         times: Times, rising [s], shape (n,).
@@ -113,9 +118,9 @@ def separate_times(times: np.ndarray) -> np.ndarray:
 
 
 def find_mode(density: Callable[[np.ndarray], float], size: int) -> Mode:
-    """Find the maximum of a log density, and the normal law that approximates the density there.
+    """Find the maximum of a log density, and the normal law that approximates the density around the maximum.
 
-    Nelder and Mead's simplex starts from the best point of a grid.
+    The simplex search of Nelder and Mead starts from the best point of a grid.
 
     Args:
         density: (point, shape (k,)) -> log density.
@@ -142,7 +147,7 @@ def curvature_at(density: Callable[[np.ndarray], float], point: np.ndarray, top:
     Args:
         density: (point, shape (k,)) -> log density.
         point: The maximum, shape (k,).
-        top: Log density there.
+        top: Log density at the maximum.
     """
     size = len(point)
     steps = np.full(size, 0.5)
@@ -166,10 +171,10 @@ def curvature_at(density: Callable[[np.ndarray], float], point: np.ndarray, top:
 
 
 def draw_points(mode: Mode) -> tuple[np.ndarray, np.ndarray]:
-    """Draw points around a mode from a Student's t law, whose tails are longer than the posterior law's.
+    """Draw points around a mode from a Student's t law, whose tails are longer than those of the posterior law.
 
     Returns:
-        Points, shape (n, k), and the logarithm of the law's density at each, shape (n,).
+        Points, shape (n, k), and the logarithm of the density of Student's t law at each point, shape (n,).
     """
     size = len(mode.point)
     uniform = stats.qmc.Sobol(size + 1, rng=np.random.default_rng(0)).random(NOISE_SAMPLES)
@@ -191,11 +196,11 @@ class NoiseSearch:
         columns: Residual, and derivatives of the prediction by each of p numbers, shape (n, 1 + p).
         floor: Lower limit of the variance.
         least_white: Lower limit of the variance of the white part, such as the variance of a sensor's noise. It applies
-            after the noise has been estimated. Without it a smooth model error would count as readings of high
+            after the noise has been estimated. Without it, a smooth model error would count as readings of high
             precision.
-        simulated: Simulations of what disturbs the readings, shape (m, n), whose shape is another kind of noise; None:
-            nothing is known to disturb them.
-        only_simulated: Whether that is the only kind.
+        simulated: Simulations of what disturbs the readings, shape (m, n), whose shape is a further kind of noise;
+            None: nothing is known to disturb the readings.
+        only_simulated: Whether the simulated shape is the only kind beside white noise.
     """
 
     def __init__(
@@ -233,9 +238,15 @@ class NoiseSearch:
     def fit_at(self, kind: NoiseKind, point: np.ndarray) -> tuple[float, NoiseFit]:
         """Fit the residual under a kind of noise at a point of scores.
 
+        Args:
+            kind: The kind of noise.
+            point: Standard normal scores of the noise's parameters, shape (k,).
+
         Returns:
-            The logarithm of prior density times likelihood, less white noise's log likelihood; -inf if the least
-            squares are singular. Then the least squares.
+            - The logarithm of prior density times likelihood, less white noise's log likelihood; -inf if the least
+            squares are
+              singular.
+            - The least squares.
         """
         try:
             fit = fit_noise(kind.noise_at(point, self.scale), self.times, self.columns, self.floor)

@@ -119,7 +119,10 @@ def allocate_draws(weights: np.ndarray, shares: np.ndarray, width: float, limit:
         return np.argmin(numbers + np.exp(log_multiplier) * (squares_below + squares_above), axis=1)
 
     def needs_more_draws(log_multiplier: float) -> float:
-        """1 if the interval is too wide and draws are left, otherwise -1, for a search of the change of sign."""
+        """The number 1 if the interval is too wide and draws are left, otherwise -1.
+
+        A bisection searches for the change of sign.
+        """
         columns = cheapest_columns(log_multiplier)
         below = np.sqrt(squares_below[strata, columns].sum())
         above = np.sqrt(squares_above[strata, columns].sum())

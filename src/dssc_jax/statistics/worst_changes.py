@@ -54,7 +54,7 @@ class WeightedChange:
 
 @dataclass(frozen=True)
 class WeightedDraws:
-    """Draws that are weighted, so that they tell the failure probability under changed laws.
+    """Draws with weights, which estimate the failure probability under changed laws.
 
     Args:
         change: Family of the changes, such as shifts.
@@ -86,8 +86,8 @@ class WeightedDraws:
     def is_trusted(self, size: float) -> bool:
         """Whether the weights of every change within this size are even enough for an estimate.
 
-        The effective number of draws must be at least :data:`LEAST_EFFECTIVE` under every such law. The effective
-        number of failing draws must be at least :data:`LEAST_FAILING` under the law with the most failures.
+        Under every such change, the effective number of draws must be at least :data:`LEAST_EFFECTIVE`. Under the
+        change with the most failures, the effective number of failing draws must be at least :data:`LEAST_FAILING`.
         """
         effective = len(self.scores) * np.exp(-self.change.log_second_moment_bound(size, self.free))
         return bool(effective >= LEAST_EFFECTIVE) and self.worst(size).failing >= LEAST_FAILING
@@ -163,9 +163,10 @@ class LargestChange:
     Args:
         bound: Size up to which the upper limits of the intervals keep the limit, with their confidence; 0 if the
             interval without a change exceeds the limit already.
-        estimate: Size up to which the estimated probabilities keep the limit; None if no trusted change exceeds it.
-        explored: Largest size at which the weights are trusted; 0 if they are not even without a change.
-        worst: Worst change of the size ``estimate``, or ``explored`` without an estimate.
+        estimate: Size up to which the estimated probabilities keep the limit; None if no trusted change exceeds the
+            limit.
+        explored: Largest size at which the weights are trusted; 0 if they are not trusted even without a change.
+        worst: Worst change of the size ``estimate``, or of the size ``explored`` without an estimate.
     """
 
     bound: float

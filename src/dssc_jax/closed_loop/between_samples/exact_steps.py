@@ -78,7 +78,12 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
             states, lines = apply_movers(movers, states, commands)
 
             def varying_signals(x: Sequence[Scalar], fraction: float) -> list[Scalar]:
-                """Disturbances, named inputs and the remainder's rates of change, at a fraction of the substep."""
+                """Disturbances, named inputs and the remainder's rates of change, at one time in the substep.
+
+                Args:
+                    x: State of the linear system at that time, length n.
+                    fraction: The time, as a fraction of the substep from 0 to 1.
+                """
                 time = t + (index + fraction) * h
                 at_plant, at_states = scatter_state(assembly, x, plant, states)
                 drive = drive_at(at_plant, actuation_at(assembly, at_states, lines, fraction), time)
@@ -202,7 +207,10 @@ def find_remainder_rows(plant: Plant[Measurements, Signals], params: Params, cha
     is_zero_entry: list[bool] = []
 
     def record_zeros(state: State) -> State:
-        """The remainder in a state; while it is traced, ``is_zero_entry`` gets a flag for each entry."""
+        """The remainder in a state of the plant.
+
+        While JAX traces this function, it appends to ``is_zero_entry`` whether each entry is a plain zero.
+        """
         drive: PlantInput[Signals] = PlantInput(zeros, zeros, wind=None, inputs=quiet_inputs(plant, params))
         slope = remainder(params, state, drive, 0.0)
         is_zero_entry.extend(is_zero(entry) for entry in jax.tree.leaves(slope))

@@ -78,10 +78,14 @@ def final_values(
 
 
 def require_like(value: Accumulator, pattern: Accumulator) -> None:
-    """Require that what a metric's code returns has the structure of a pattern, with arrays of the same shapes.
+    """Require that the result of a metric's code has the structure of a pattern, and arrays of the same shapes.
+
+    Args:
+        value: The result.
+        pattern: An accumulator of the expected form.
 
     Raises:
-        TypeError: It has another structure, or other shapes.
+        TypeError: The result has another structure, or other shapes.
     """
     structure = jax.tree.structure(value)
     expected = jax.tree.structure(pattern)

@@ -25,7 +25,12 @@ Combination: TypeAlias = Callable[[Scalar, Scalar], Scalar]
 
 
 class Extremes(NamedTuple):
-    """Minimum and maximum of two numbers, exact or smooth."""
+    """Minimum and maximum of two numbers, exact or smooth.
+
+    Args:
+        minimum: ``(a, b) -> minimum``.
+        maximum: ``(a, b) -> maximum``.
+    """
 
     minimum: Combination
     maximum: Combination
@@ -48,7 +53,7 @@ def smooth_minimum(width: float, a: Scalar, b: Scalar) -> Scalar:
 
 
 def smooth_extremes(width: float) -> Extremes:
-    """A smooth minimum of this width (:func:`smooth_minimum`), and the maximum -min(-a, -b) that belongs to it."""
+    """A smooth minimum of this width (:func:`smooth_minimum`), and the maximum -min(-a, -b) that follows from it."""
     minimum = partial(smooth_minimum, width)
     return Extremes(minimum, lambda a, b: -minimum(-a, -b))
 
@@ -58,9 +63,9 @@ Aggregate: TypeAlias = tuple[Scalar, ...]
 
 
 class DelayLines:
-    """Delays of values by whole samples, as ring buffers one after the other in one array.
+    """Delays of values by whole samples: ring buffers that lie one after the other in one array.
 
-    Each call of :meth:`delayed` is a delay line and takes the next part of the array, so the calls must come in the
+    Each call of :meth:`delayed` uses the next delay line, a part of the array. Therefore the calls must come in the
     same order at every sample.
 
     Args:
@@ -75,7 +80,7 @@ class DelayLines:
         self.size = 0  # numbers in the lines so far
 
     def delayed(self, value: Scalar, samples: int) -> Scalar:
-        """Pass a value into the next delay line, and return the value that it received some samples ago.
+        """Pass a value into the next delay line, and return the value that this line received ``samples`` samples ago.
 
         Args:
             value: The present value.

@@ -60,12 +60,12 @@ It is finite, because the difference of two infinities is NaN.
 
 
 class Latch(NamedTuple):
-    """The memory, during a flight, of a formula whose robustness is needed at one instant only.
+    """The memory, during a flight, of a formula whose robustness is needed at one sample only.
 
     Args:
-        value: Its robustness over the samples so far.
+        value: Robustness of the formula over the samples so far.
         smallest_before: For ``until``, the smallest robustness of ``before`` so far; :data:`FAR` for other formulas.
-        decision: Number of samples after which its truth was certain; 0: not yet.
+        decision: Number of samples after which the truth of the formula was certain; 0: it is not certain yet.
     """
 
     value: Scalar
@@ -100,7 +100,10 @@ def latched_formulas(formula: Formula, at: int = 0) -> Iterator[LatchedFormula]:
 
 
 def initial_latch(latched: LatchedFormula) -> Latch:
-    """The latch of a formula before the first sample: each extreme starts at the value that any other replaces."""
+    """The latch of a formula before the first sample, with values that the first robustness replaces.
+
+    A latch that keeps the largest value starts at -:data:`FAR`, and one that keeps the smallest value at :data:`FAR`.
+    """
     keeps_largest = isinstance(latched.formula, Eventually | Until)
     return Latch(value=-FAR if keeps_largest else FAR, smallest_before=FAR, decision=0.0)
 
@@ -148,8 +151,8 @@ class Judgement(NamedTuple):
     """The verdict on a formula at the end of a flight.
 
     Args:
-        value: Its robustness.
-        decision: Number of samples after which its truth was certain.
+        value: Robustness of the formula.
+        decision: Number of samples after which the truth of the formula was certain.
     """
 
     value: Scalar
@@ -161,7 +164,7 @@ def judge_formula(formula: Formula, latches: Iterator[Latch], extremes: Extremes
 
     Args:
         formula: The formula.
-        latches: The latches of its :func:`latched_formulas`, in that order; each is taken once.
+        latches: The latches of the formula's :func:`latched_formulas`, in the same order; each is taken once.
         extremes: Exact or smooth minimum and maximum.
         at: The sample at which the formula is evaluated.
     """
@@ -186,11 +189,11 @@ def judge_formula(formula: Formula, latches: Iterator[Latch], extremes: Extremes
 def judge_jointly(combine: Combination, is_conjunction: bool, first: Judgement, second: Judgement) -> Judgement:
     """The verdict on "first and second", or on "first or second".
 
-    A false part decides "and" alone, a true part decides "or" alone; otherwise both parts must be certain.
+    One false part decides "and", and one true part decides "or". Otherwise the verdict is certain once both parts are.
 
     Args:
         combine: Minimum for "and", maximum for "or".
-        is_conjunction: Whether it is "and".
+        is_conjunction: Whether the formula is "and".
         first: Verdict on the first part.
         second: Verdict on the second part.
     """
@@ -205,8 +208,8 @@ class Evaluation(NamedTuple):
     """The memory of a formula's evaluation during a flight.
 
     Args:
-        latches: Latch of each of its :func:`latched_formulas`.
-        memory: The array of all its delay lines, shape (:func:`memory_size`,); () if it has no delay line.
+        latches: Latch of each of the formula's :func:`latched_formulas`.
+        memory: The array of all delay lines, shape (:func:`memory_size`,); () for a formula without delay lines.
     """
 
     latches: tuple[Latch, ...]
@@ -235,7 +238,7 @@ def initial_evaluation(formula: Formula) -> Evaluation:
 def memory_size(formula: Formula) -> int:
     """Number of values that the delay lines of a formula hold together.
 
-    An evaluation with plain zeros in place of signals counts them.
+    To count the values, the formula is evaluated once with plain zeros in place of signals.
     """
     stream = Stream(lambda comparison: 0.0, DelayLines(), Extremes(min, max))
     for latched in latched_formulas(formula):
@@ -265,7 +268,10 @@ def next_evaluation(formula: Formula, extremes: Extremes, state: Evaluation, ins
 
 @jax.custom_jvp
 def with_slope_of(value: Scalar, substitute: Scalar) -> Scalar:
-    """The value, with the derivatives of a substitute in place of its own."""
+    """The value, with the derivatives of the substitute in place of its own.
+
+    :func:`slope_of_substitute` defines these derivatives; the number ``substitute`` itself is not used.
+    """
     return value
 
 
@@ -290,7 +296,7 @@ class RobustnessUpdate:
     width: float
 
     def __call__(self, state: FormulaState, instant: Instant, window: Window) -> FormulaState:
-        """The metric's accumulator after a sample."""
+        """The metric's accumulator after a sample; a formula has its own instants, so ``window`` is not read."""
         exact = next_evaluation(self.formula, EXACT, state.exact, instant)
         if not isinstance(state.smooth, Evaluation):
             return FormulaState(exact)
@@ -310,7 +316,10 @@ class RobustnessValue:
     width: float
 
     def __call__(self, state: FormulaState, window: Window, span: Span) -> Scalar:
-        """The exact robustness, with the derivatives of the smooth robustness where there is one."""
+        """The exact robustness; if there is a smooth robustness, with the derivatives of the smooth one.
+
+        A formula has its own instants, so ``window`` and ``span`` are not read.
+        """
         exact = judge_formula(self.formula, iter(state.exact.latches), EXACT)
         if not isinstance(state.smooth, Evaluation):
             return exact.value

@@ -35,7 +35,7 @@ class MarginKind:
         meaning: Meaning in words.
         units: Units of a bound, each with its conversion to the first one, which is the unit of the margin.
         good: ``large`` or ``small``: which values are good.
-        neutral: The value at the limit of stability, and of unstable loops; NaN: no value tells that limit.
+        neutral: The value at the limit of stability, which unstable loops also get; NaN: the margin has no such value.
         most: The largest possible value.
     """
 
@@ -49,7 +49,7 @@ class MarginKind:
 
     @property
     def worst(self) -> float:
-        """The value that replaces NaN: the limit of stability, or an infinite value if that limit has none."""
+        """The value that replaces NaN: that at the limit of stability, or else the infinity on the bad side."""
         has_limit = not math.isnan(self.neutral)
         if has_limit:
             return self.neutral

@@ -18,7 +18,7 @@ def keep_value(acc: Accumulator, sample: MetricInput, window: Window) -> Accumul
 
 
 def decision_sample(acc: Accumulator) -> Scalar:
-    """Number of samples after which the verdict on a margin is certain: 1, since the flight cannot change it."""
+    """Number of samples after which the verdict on a margin is certain: 1, as the flight cannot change a margin."""
     return 1.0
 
 

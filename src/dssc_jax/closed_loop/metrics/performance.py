@@ -26,7 +26,10 @@ SHARE_OF_SAMPLING = 0.05  # chattering frequency over the sampling frequency, a 
 
 
 def integral(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Integral of a signal over the window, the sum of its samples times T_s."""
+    """Integral of a signal over the window: the accumulated sum of its samples times T_s.
+
+    The sum contains the window's samples only, so ``window`` is not read.
+    """
     return acc * span.sample_time
 
 
@@ -150,7 +153,7 @@ class DriftSum(NamedTuple):
     Args:
         samples: Number of samples so far.
         previous: Measurement error of sigma at the last sample [m/s].
-        total: Sum of the gain times each change of that error.
+        total: Sum over the samples of the controller's gain times the change of this error.
     """
 
     samples: Scalar = 0.0
@@ -170,7 +173,7 @@ def update_drift(acc: DriftSum, sample: Sample, window: Window) -> DriftSum:
 
 
 def drift_rate(acc: DriftSum, window: Window, span: Span) -> Scalar:
-    """Mean rate at which measurement noise drives the command: |sum of its moves| over the window's duration."""
+    """Mean rate at which measurement noise drives the command: |sum of the moves| over the window's duration."""
     return jnp.abs(acc.total) / (span.sample_count * span.sample_time)
 
 
@@ -180,7 +183,7 @@ class CommandPath(NamedTuple):
     Args:
         samples: Number of samples so far.
         previous: Command at the last sample.
-        length: Sum of the sizes of its changes.
+        length: Sum of the sizes of the command's changes.
     """
 
     samples: Scalar = 0.0
@@ -189,7 +192,7 @@ class CommandPath(NamedTuple):
 
 
 def update_path(acc: CommandPath, sample: Sample, window: Window) -> CommandPath:
-    """Add the size of the command's change to this sample; the window's first sample adds nothing."""
+    """Add the size of the command's change since the previous sample; the window's first sample adds nothing."""
     step = jnp.where(acc.samples == 0.0, 0.0, jnp.abs(sample.u_total - acc.previous))
     return CommandPath(acc.samples + 1.0, sample.u_total, acc.length + step)
 

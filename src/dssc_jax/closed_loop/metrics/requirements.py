@@ -23,8 +23,8 @@ class Requirement:
         measure: The measure.
         maximum: Upper bound in the metric's unit.
         minimum: Lower bound in the metric's unit; 0 for the robustness of a formula.
-        typical_slack: Typical distance of draws from the bound in the metric's unit, a scale if the bound is 0; None:
-            unknown.
+        typical_slack: Typical distance of draws from the bound in the metric's unit, which scales slacks if the bound
+            is 0; None: unknown.
         formula: Text of the formula; empty for other requirements.
         written: The bound as the study file states it, with a unit; empty if the study states a plain number.
     """
@@ -143,12 +143,20 @@ def counted_places(requirements: Sequence[Requirement], label: str) -> list[int]
 
 
 def violated(slack: Any) -> Any:
-    """Whether a requirement with this slack, a traced number or an array, is violated; NaN counts as violated."""
+    """Whether a requirement with this slack is violated; NaN counts as violated.
+
+    Args:
+        slack: The slack, a traced number or an array.
+    """
     return ~(slack >= 0.0)  # not slack < 0, which is False for NaN
 
 
 def ended_early(outcome: Any) -> Any:
-    """Whether a draw with this outcome code ended early, and so violates every requirement; arrays of any shape."""
+    """Whether a draw with this outcome code ended early, and so violates every requirement.
+
+    Args:
+        outcome: One code, or an array of codes of any shape.
+    """
     return (outcome != Outcome.OK) & (outcome < Outcome.REQUIREMENT)
 
 
@@ -161,19 +169,21 @@ def watch(
     steps: int,
     sample_time: float,
 ) -> tuple[Scalar, ...]:
-    """Note, after a sample, which requirements whose violation is final are violated for the first time.
+    """Note, after a sample, which requirements with a final violation are violated for the first time.
+
+    A violation is final if the requirement can never be met again. Other requirements are not watched.
 
     Args:
-        requirements: The requirements.
+        requirements: All requirements.
         measures: All measures.
-        accumulators: Their accumulators after the sample.
-        violations: The result after the previous sample; 0 for each of these requirements at first.
+        accumulators: Accumulator of each measure after the sample.
+        violations: The result after the previous sample; 0 for each watched requirement before the first sample.
         samples: Number of samples so far.
         steps: Number of samples of the run.
         sample_time: T_s [s].
 
     Returns:
-        For each of these requirements, the number of samples after which it was first violated; 0: not yet.
+        For each watched requirement, the number of samples after which it was first violated; 0: not yet.
     """
     accumulator_of = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
     updated_violations = []
@@ -250,7 +260,7 @@ def judge(
 
 
 def binding_requirement(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Find the requirement that each draw meets by the least or misses by the most, relative to its scale.
+    """Find the index of the requirement with the smallest slack, relative to its scale, in each draw.
 
     A slack of NaN counts as the smallest of all.
 

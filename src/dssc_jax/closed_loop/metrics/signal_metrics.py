@@ -40,7 +40,7 @@ class SampledSignal(NamedTuple):
     Args:
         unit: Unit.
         meaning: Meaning in words.
-        value: Reads its value from the signals at a sample.
+        value: Reads the signal from all signals at a sample.
         periodic: Whether the signal is an angle that jumps by a turn where it leaves (-pi, pi].
     """
 
@@ -194,11 +194,11 @@ def require_free(part: str, name: str, names: Collection[str]) -> None:
 
     Args:
         part: The part, ``controller`` or ``plant``, for the message.
-        name: Name of its signal.
+        name: Name of the reported signal.
         names: Names of the other signals.
 
     Raises:
-        ConfigError: The name is among them.
+        ConfigError: The name is among those of the other signals.
     """
     if name in names:
         raise ConfigError(part, f"reports '{name}', which is another signal of the loop; give it a name of its own")
@@ -209,11 +209,12 @@ def variation_update(signal: SignalReader, periodic: bool = False) -> Update:
 
     Args:
         signal: Reads the signal.
-        periodic: Whether it is an angle that jumps by a turn where it leaves (-pi, pi]; its change is the shorter way.
+        periodic: Whether the signal is an angle that jumps by a turn where it leaves (-pi, pi]. A change of the angle
+            then counts along the shorter way.
     """
 
     def update(acc: Variation, instant: Instant, window: Window) -> Variation:
-        """The variation after one more sample."""
+        """The variation after one more sample; the first sample changes nothing."""
         value = signal(instant)
         change = wrap_angle(value - acc.last) if periodic else value - acc.last
         size = jnp.where(acc.begun > 0.0, jnp.abs(change), 0.0)

@@ -66,14 +66,14 @@ class Metric(NamedTuple):
         needs: Fields that the info of the controller, or of the vehicle, must have.
         scope: One channel, or the vehicle as a whole.
         start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
-        counted: Whether the value counts samples, as a time or a share; rounding then changes it by whole samples.
+        counted: Whether the value counts samples, as a time or a share does; rounding then changes it by whole samples.
         course: Whether the value can only rise, only fall, or do both as samples are added.
         certain_after: ``accumulator -> number of samples after which the sign of the final value was certain``.
         margin: The margin of the linearised loop whose value is the accumulator; None: a metric of the flight.
-        least: The least value that is possible, such as 0 for a size.
-        defined_if: Condition for a value other than NaN, in words; empty: none.
-        settled_within: ``window -> bound`` on |e| below which a draw must have settled, so that its value at its early
-            end is also the value of the whole run. NaN: the bound differs between draws. None: no bound is needed.
+        least: The least possible value, such as 0 for a size.
+        defined_if: Condition, in words, under which the value is not NaN; empty: there is no condition.
+        settled_within: ``window -> bound`` on |e|. A draw that has settled below the bound and ends early has the value
+            of the whole run. NaN: the bound differs between draws. None: no bound is needed.
     """
 
     unit: str
@@ -155,12 +155,12 @@ def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
 def settling_time(acc: Scalar, window: Window, span: Span) -> Scalar:
     """Time from the window's start to the end of the last sample outside the band [s].
 
-    It is infinite if the window's last sample is outside, too.
+    The time is infinite if the window's last sample is outside, too.
 
     Args:
         acc: Result of :func:`last_outside` at the end of the flight.
         window: The window.
-        span: Its length in samples.
+        span: The window's length in samples.
     """
     time = jnp.maximum(acc * span.sample_time - window.after, 0.0)
     return jnp.where(acc >= span.steps, jnp.inf, time)
@@ -240,11 +240,11 @@ def largest_absolute(
 def share_of_time(
     meaning: str, indicator: SignalReader, needs: tuple[str, ...], scope: Scope = Scope.CHANNEL
 ) -> Metric:
-    """The metric that is the share of the window's samples at which an indicator is 1 and not 0.
+    """The metric that is the share of the window's samples at which an indicator is 1.
 
     Args:
         meaning: Words after "share of time".
-        indicator: Reads the indicator at a sample.
+        indicator: Reads the indicator, 1 or 0, at a sample.
         needs: As in :class:`Metric`.
         scope: As in :class:`Metric`.
     """
@@ -349,7 +349,7 @@ class Measure:
 
     @property
     def window_text(self) -> str:
-        """The window in words, such as `` after 2 s``; empty if no value of it needs mention."""
+        """The window in words, such as `` after 2 s``; empty if all values of the window are the usual ones."""
         return self.window.words(self.default_window, self.units.output)
 
     @property

@@ -44,9 +44,9 @@ def entry_field(default: float, entry: WindowEntry) -> Any:
 
 @dataclass(frozen=True)
 class Window:
-    """The samples that a metric counts, and its thresholds.
+    """The samples that a metric counts, and the thresholds of metrics.
 
-    They are the samples at ``after`` <= t <= ``until`` [s]. The error counts as settled within ``band`` in the output's
+    The samples at ``after`` <= t <= ``until`` [s] count. The error counts as settled within ``band`` in the output's
     unit, or within ``percent`` [%] of a step. The command chatters above the frequency ``chattering`` [Hz]; 0 stands
     for 1/(20 T_s).
     """
@@ -191,7 +191,7 @@ class Span(NamedTuple):
 def periods_lasting(duration: float, sample_time: float) -> int:
     """The least number of sample periods that together last at least a duration [s].
 
-    A duration of k T_s that rounding has made slightly longer still gives k.
+    If rounding has made a duration of k T_s slightly longer, the number is still k.
     """
     return math.ceil(duration / sample_time - ROUNDING)
 
@@ -222,7 +222,13 @@ def samples_before_end(window: Window, sample_time: float, steps: Scalar) -> Sca
 
 
 def span_of(window: Window, steps: Scalar, sample_time: float) -> Span:
-    """The length of a window in samples, in a run of ``steps`` samples."""
+    """The length of a window in samples, in a run of ``steps`` samples.
+
+    Args:
+        window: The window.
+        steps: Number of samples of the run, which may be traced.
+        sample_time: T_s [s].
+    """
     end = samples_before_end(window, sample_time, steps)
     return Span(end, end - first_sample(window.after, sample_time), sample_time)
 

@@ -70,7 +70,7 @@ def better_equilibria(earlier: Resting, later: Resting) -> Resting:
     is_better = later.is_settled & (~earlier.is_settled | (earlier.matrices.is_open() & ~later.matrices.is_open()))
 
     def select(early: np.ndarray, late: np.ndarray) -> np.ndarray:
-        """The rows of ``late`` in draws where it is better, else the rows of ``early``, shape (n, ...)."""
+        """The rows of ``late`` in draws where the later search is better, else those of ``early``, shape (n, ...)."""
         row_is_better = is_better.reshape(-1, *[1] * (early.ndim - 1))
         return np.where(row_is_better, late, early)
 
@@ -82,7 +82,7 @@ class RestingLoop:
 
     Args:
         study: The study, without a sweep.
-        places: The parts of its loop.
+        places: The parts of the study's loop.
     """
 
     def __init__(self, study: Study, places: tuple[LoopPart, ...]) -> None:
@@ -148,18 +148,22 @@ class RestingLoop:
         return np.full((count, len(self.places)), Finding.SMOOTH.value)
 
     def within_boundaries(self, count: int) -> np.ndarray:
-        """A finding for each part of ``count`` draws that takes its inner substitute, shape (count, parts)."""
+        """The finding "at a corner" for every part of ``count`` draws, shape (count, parts).
+
+        With this finding, each part with an inner side is replaced by its substitute for it.
+        """
         return np.full((count, len(self.places)), Finding.CORNER.value)
 
     def settle(self, values: Arrays, indices: np.ndarray) -> Resting:
         """Find the equilibrium of each of n draws by Newton's method, from the states after the first sample.
 
-        A first command at a limit does not depend on the states. Then Newton's method fails, or finds where the plant
-        rests at that command. Such draws start again from the equilibrium of the loop without limits. Draws that still
-        fail start from the end of a simulation at the constant reference, where a stable loop has left the limit.
+        If the first command is at a limit, it does not depend on the states. Newton's method then fails, or finds where
+        the plant rests at that command. Such draws start again from the equilibrium of the loop without limits. Draws
+        that still fail start from the end of a simulation at the constant reference, where a stable loop has left the
+        limit.
 
         Args:
-            values: LaneValues of the uncertain numbers, each of shape (n,).
+            values: Values of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
         """
         initial_states = self.start(values, indices)
@@ -178,8 +182,8 @@ class RestingLoop:
     def settled_from(self, states: np.ndarray, values: Arrays, indices: np.ndarray, findings: np.ndarray) -> Resting:
         """The equilibria that Newton's method finds from some states.
 
-        A step solves (1 - A) dx = x+ - x for the relevant states, where x+ is the state after a sample. The search also
-        ends in a draw whose move x+ - x steps no longer change: a command is at a limit.
+        A step solves (1 - A) dx = x+ - x for the relevant states, where x+ is the state after a sample. In a draw with
+        a command at a limit, steps may not change the move x+ - x any more. The search of such a draw also ends.
 
         Args:
             states: The states at which the search begins, shape (n, states).

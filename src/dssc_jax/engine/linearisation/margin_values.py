@@ -45,12 +45,12 @@ class ClosedLoops(NamedTuple):
 
 @dataclass(frozen=True)
 class LoopOfStudy:
-    """The key of a study's compiled margins: two studies with equal tables and loops share them.
+    """The key of a study's compiled margins, which two studies share if their tables and loops are equal.
 
     Args:
         table: Hash of the study's table.
         loop: The models and the clock.
-        study: The study, which two keys need not share.
+        study: The study, which is not compared.
     """
 
     table: str
@@ -95,8 +95,8 @@ class MarginValues:
     def __call__(self, values: Arrays, indices: np.ndarray) -> Arrays:
         """Every required margin of each lane, by the name of its measure, shape (n,) each.
 
-        A lane with an unstable loop has the value at the limit of stability. A lane without an equilibrium has NaN, and
-        so has a lane that rests beyond a limit which opens the loop.
+        A lane with an unstable loop has the value at the limit of stability. A lane has NaN if it has no equilibrium,
+        or if it rests beyond a limit that opens the loop.
 
         Args:
             values: Values of all uncertain and swept numbers, shape (n,) each.

@@ -105,10 +105,10 @@ class Linearisation:
     def __call__(
         self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
     ) -> StateMatrices:
-        """The linearised loops of n draws, each at a state of its own.
+        """The linearised loops of n draws, each at its own state.
 
         Args:
-            values: LaneValues of the uncertain numbers, each of shape (n,).
+            values: Values of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
             states: Operating points, shape (n, states).
             k: Index of the sample.
@@ -184,15 +184,15 @@ class Linearisation:
         draw: np.ndarray,
         direction: np.ndarray,
     ) -> list[np.ndarray]:
-        """For some lanes: the next state, and the derivatives of state and signals along one direction.
+        """For each of some lanes, the next state, and the derivatives of state and signals along one direction.
 
         Args:
-            values: LaneValues of the uncertain numbers, each of shape (n,).
+            values: Values of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
             states: Operating points, shape (n, states).
             k: Index of the sample.
             findings: The :class:`Finding` of each part, shape (n, parts).
-            draw: Row of these arrays for each lane, shape (lanes,).
+            draw: Row of the arrays above for each lane, shape (lanes,).
             direction: Direction of each lane's derivatives: index of a state, or number of states plus index of a break
                 point, shape (lanes,).
         """
@@ -207,13 +207,13 @@ class Linearisation:
 
 
 def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, point: str) -> tuple[str, ...]:
-    """Notes on the parts that lie at or beyond a corner, with the number of draws, for the reader of the results.
+    """Notes for the reader of the results on the parts that lie at or beyond a corner, with the number of draws.
 
-    At a corner the part's substitute stands for it.
+    At a corner the part's substitute takes its place.
 
     Args:
         study: The study.
-        places: The parts of its loop.
+        places: The parts of the study's loop.
         findings: The :class:`Finding` of each draw and part, shape (n, parts).
         point: Name of the operating point.
 

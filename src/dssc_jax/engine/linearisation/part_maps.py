@@ -67,7 +67,7 @@ class OperatingPoint(NamedTuple):
 
     @property
     def time(self) -> Scalar:
-        """t = k T_s [s]."""
+        """The time t = k T_s of the sample [s]."""
         return self.k * self.loop.sample_time
 
     def stream(self, slot: str, name: str) -> jax.Array:
@@ -175,7 +175,10 @@ def disturbance_map(at: OperatingPoint, i: int) -> PartMap:
 
 
 def named_input_map(at: OperatingPoint, i: int) -> PartMap:
-    """The disturbance at the i-th named input of the plant: from measurement and sigma of the first channel."""
+    """The disturbance at the i-th named input of the plant: from a measurement and sigma to the disturbance's value.
+
+    A named input belongs to no channel; the disturbance sees measurement and sigma of the first one.
+    """
     return disturbance_from(at, at.state.inputs[i], channel=0)
 
 

@@ -47,12 +47,12 @@ class Slopes(NamedTuple, Generic[Array]):
 def directions(memory: int, signals: int) -> np.ndarray:
     """Directions in which a part is pushed, shape (directions, memory + signals).
 
-    Random directions push all inputs together, or the signals alone. If there are few inputs, each is also pushed by
-    itself.
+    Random directions push all inputs together, or the signals alone. If there are few inputs, each input is also pushed
+    separately.
 
     Args:
         memory: Number of state variables of the part.
-        signals: Number of its other inputs.
+        signals: Number of the part's other inputs.
     """
     random = np.random.default_rng(0)
     sizes = random.uniform(0.5, 1.5, (RANDOM_DIRECTIONS, memory + signals))

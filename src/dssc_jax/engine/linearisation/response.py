@@ -69,8 +69,8 @@ class ClassicalMargins(NamedTuple):
 def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
     """Return the function that gives the frequency response G(z) = c (z - A)^-1 b of n loops.
 
-    It uses the Schur form A = Q T Q* of each balanced A, with T triangular, which exists even if A has no basis of
-    eigenvectors, as with delays. Back substitution then takes the angles of all loops at once.
+    The function uses the Schur form A = Q T Q* of each balanced A, with T triangular. The Schur form exists even if A
+    has no basis of eigenvectors, as with delays. Back substitution then takes the angles of all loops at once.
 
     Args:
         a: A, shape (n, states, states).
@@ -93,7 +93,7 @@ def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
         rows[i] = (c[i] * scale) @ basis
 
     def response(angles: np.ndarray) -> np.ndarray:
-        """G at angles of any number, shape (n, m), computed in parts of a limited size."""
+        """G at any number of angles, shape (n, m), computed in parts of a limited size."""
         width = max(1, MOST_ENTRIES // max(1, order * len(angles)))
         parts = [response_at(angles[:, first : first + width]) for first in range(0, angles.shape[1], width)]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
@@ -141,7 +141,8 @@ def loop_grids(poles: np.ndarray) -> np.ndarray:
 def margin_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, poles: np.ndarray) -> np.ndarray:
     """The angles between which margins of n stable loops are searched, ascending, shape (n, m).
 
-    They are a grid and the frequencies of the closed-loop and open-loop poles, near which the response may be steep.
+    The angles are a grid and the frequencies of the closed-loop and open-loop poles, near which the response may be
+    steep.
 
     Args:
         a: State matrices of the closed loops, shape (n, states, states).
@@ -273,9 +274,9 @@ def margins_at_crossings(
 
 
 def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Upper and lower gain margin, shape (n,) each, from the angles at which G is real, 0 and pi among them.
+    """Upper and lower gain margin, shape (n,) each, from the angles at which G is real, including 0 and pi.
 
-    There the loop gain times the factor 1 + 1/G puts a pole on the unit circle.
+    At such an angle, the factor 1 + 1/G of the loop gain puts a pole on the unit circle.
 
     Args:
         respond: G of the loops.
@@ -297,7 +298,7 @@ def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[
 def bandwidth(respond: Response, angles: np.ndarray, g: np.ndarray) -> np.ndarray:
     """Angle beyond which abs(T) = abs(G) stays below 1/sqrt(2), shape (n,).
 
-    It is infinite if abs(T) is larger at the Nyquist frequency, and NaN if abs(T) is nowhere that large.
+    The angle is infinite if abs(T) exceeds 1/sqrt(2) at the Nyquist frequency, and NaN if abs(T) exceeds it nowhere.
 
     Args:
         respond: G of the loops.

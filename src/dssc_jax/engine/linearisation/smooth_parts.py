@@ -67,7 +67,8 @@ class LoopPart(NamedTuple):
     def is_examined(self) -> bool:
         """Whether the part is examined at its operating points: it has boundaries, or is user-defined code.
 
-        The package's own parts that are smooth everywhere need no examination: its tests have examined them.
+        The package's own parts that are smooth everywhere are not examined, because the package's tests have examined
+        them.
         """
         return self.imported or self.remaining.extent != SmoothExtent.EVERYWHERE
 
@@ -77,12 +78,19 @@ class LoopPart(NamedTuple):
         return self.smoothness.extent == SmoothExtent.NOWHERE
 
     def substitute(self, params: Params) -> tuple[Part, Params]:
-        """The substitute that is differentiated in place of the part, and its parameters."""
+        """The substitute that is differentiated in place of the part, and the substitute's parameters.
+
+        Args:
+            params: Parameters of the part.
+        """
         assert self.smoothness.substitute is not None  # see declared_place
         return self.smoothness.substitute(params)
 
     def inner_side(self, params: Params) -> tuple[Part, Params]:
-        """The substitute for the inner side of the boundaries, and its parameters; see :attr:`has_inner_side`."""
+        """The substitute for the inner side of the part's boundaries, and the substitute's parameters.
+
+        Call it only if :attr:`has_inner_side`.
+        """
         assert self.remaining.substitute is not None
         return self.remaining.substitute(params)
 
@@ -102,7 +110,10 @@ class Finding(IntEnum):
 
 
 class SelectedParams(NamedTuple):
-    """Parameters of a part and of its substitute, and whether the substitute replaces the part; may be traced."""
+    """Parameters of a part and of its substitute, and whether the substitute replaces the part.
+
+    All numbers may be traced, so that one compiled program serves both cases.
+    """
 
     part: Params
     substitute: Params
@@ -110,7 +121,7 @@ class SelectedParams(NamedTuple):
 
     @property
     def l0(self) -> Scalar:
-        """The error pole of a controller."""
+        """The error pole l_0 of the part, if it is a controller [1/s]."""
         return self.part.l0
 
 
@@ -204,7 +215,7 @@ def declared_place(study: Study, slot: str, index: int, part: Part, params: Para
 
 
 def substitute_notes(places: Sequence[LoopPart]) -> list[str]:
-    """Notes on the substitutes of the parts that are smooth nowhere, each once, for the reader of the results."""
+    """Notes for the reader of the results on the substitutes of the parts that are smooth nowhere; each note once."""
     notes = [f"{place.label} {place.smoothness.meaning}" for place in places if place.is_replaced]
     return list(dict.fromkeys(notes))
 
@@ -225,14 +236,14 @@ def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Part, Para
 def with_part(
     loop: Loop, params: LoopParams, place: LoopPart, part: Part, part_params: Params
 ) -> tuple[Loop, LoopParams]:
-    """The loop with another part in a place, and the loop's parameters with the part's own.
+    """The loop with another part in a place, and the loop's parameters with those of this part.
 
     Args:
         loop: The models and the clock.
         params: Their parameters.
         place: The place.
         part: The other part.
-        part_params: Its parameters.
+        part_params: Parameters of the other part.
     """
     models = list(getattr(loop, place.slot))
     values = list(getattr(params, place.slot))
