@@ -57,7 +57,7 @@ def show_comparison(comparison: Comparison, files: list[Path]) -> None:
 
 
 def show_contest(contest: ContestAnswer, answer: ComparisonAnswer, gains: str) -> None:
-    """Print a table of the controllers' failures, and one of the paired differences.
+    """Print a table of the controllers' failures, and a table of the paired differences.
 
     Args:
         contest: Failures of each controller and pair, with one set of gains.
@@ -154,7 +154,7 @@ def show_output_sensitivities(name: str, quantities: Mapping[str, np.ndarray], a
 def main_factors(sensitivity: Sensitivity, name: str) -> str:
     """Name the factors on which an output depends most, each with its sensitivity and interval.
 
-    Factors whose interval includes 0 are left out; if all do, the largest factor alone is named.
+    Factors whose interval includes 0 are left out. If no factor remains, the largest one is named.
 
     Args:
         sensitivity: The analysis.
@@ -175,7 +175,7 @@ def sensitivity_text(value: float, low: float, high: float) -> str:
 
 
 def show_probability(estimate: FailureProbability, files: list[Path]) -> None:
-    """Print a failure probability, the failures in each stratum, and how many plain draws would take its place.
+    """Print a failure probability, the failures in each stratum, and how many plain draws would be as precise.
 
     Args:
         estimate: The analysis.
@@ -266,7 +266,7 @@ def show_design_points(answer: RareAnswer) -> None:
 
 
 def show_failing_ranges(answer: RareAnswer) -> None:
-    """Print the median of each uncertain number, and the number's 5, 50 and 95 % quantiles in draws that fail."""
+    """Print the median of each uncertain number, and its 5, 50 and 95 % quantiles over the draws that fail."""
     rows = []
     for name, number in answer.where.items():
         if number.failing is not None:

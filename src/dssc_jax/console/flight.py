@@ -91,7 +91,9 @@ def compared_samples_text(answer: LogAnswer) -> str:
 
 
 def show_replay(summary: Mapping[str, Any], study: Study) -> None:
-    """Print how the commands of the analysed controller and the references of the study differ from the logged ones.
+    """Print how replayed commands and references differ from the logged ones.
+
+    The commands are those of the analysed controller, and the references are those of the study.
 
     Args:
         summary: ``replay``, ``dropped_rows`` and ``held_samples`` by signal, ``replayed_samples``, ``not_replayed``,
@@ -126,14 +128,14 @@ def show_replay(summary: Mapping[str, Any], study: Study) -> None:
 
 
 def show_warnings(warnings: Sequence[SignalWarning]) -> None:
-    """Print warnings, with the name of the log if there are several logs."""
+    """Print warnings; if there are several logs, each with the name of its log."""
     for warning in warnings:
         log_name = f"{warning.log}: " if isinstance(warning, FlightWarning) else ""
         show_line(f"warning: {log_name}{warning.text}")
 
 
 def held_text(held_counts: Mapping[str, int], samples: int, subject: str, between: str = HELD) -> str:
-    """Tell how many samples of each signal a log has, and what is assumed between them.
+    """Tell how many samples of each signal a log has, and what is assumed between these samples.
 
     Args:
         held_counts: Number of samples that the log lacks, by signal; only signals that lack some.
@@ -146,7 +148,10 @@ def held_text(held_counts: Mapping[str, int], samples: int, subject: str, betwee
 
 
 def departure_table(answer: LogAnswer) -> Table:
-    """Tabulate how far the logged signals depart from the draws, without signals that are equal in all draws."""
+    """Make the table of how far the logged signals depart from the draws.
+
+    A signal that is equal in all draws is left out.
+    """
     rows = []
     for name, signal in answer.signals.items():
         if signal.outside_share is None:
@@ -220,7 +225,10 @@ def beyond_text(answer: NextFlightAnswer) -> str:
 
 
 def counts_table(test: StudyTest) -> Table:
-    """Tabulate the numbers of flights that would refute or confirm the study, by the true share of extreme flights."""
+    """Make the table of the numbers of flights that would refute or confirm the study.
+
+    Each row is for one true share of extreme flights.
+    """
     rows = []
     for share, refuting_count in test.flights_to_refute.items():
         counts = (refuting_count, test.flights_to_confirm[share])
@@ -231,11 +239,11 @@ def counts_table(test: StudyTest) -> Table:
 
 
 def show_rank(answer: LogAnswer, p_value: float) -> None:
-    """Print the p-value of a log, and the verdict whether it is a flight of the study.
+    """Print the p-value of a log, and the verdict whether the log is a flight of the study.
 
     Args:
         answer: The comparison.
-        p_value: Its p-value, by the rank of the log among the draws.
+        p_value: The p-value, by the rank of the log among the draws.
     """
     show_line(
         f"p = {p_value:.4g}: {answer.draws_at_least_as_extreme} of {answer.draws} draws depart "
@@ -310,7 +318,7 @@ def show_estimates(numbers: Mapping[str, Any]) -> None:
 
 
 def search_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Describe the search for the best estimates, and on other minima of the residual."""
+    """Describe the search for the best estimates, and other minima of the residual."""
     starts = f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum"
     refined = ", with those that refine the best minimum" if summary["search_cut"] else ""
     lines = [f"{starts}; {summary['simulations']} simulations{refined}"]
@@ -327,7 +335,7 @@ def untried_lines(reason: str) -> list[str]:
     """Name the parts that the study may lack and that were not tried.
 
     Args:
-        reason: Why; empty: they were tried, and there is no line.
+        reason: Why they were not tried; empty: they were tried, and the result has no line.
     """
     if not reason:
         return []
@@ -338,11 +346,11 @@ def untried_lines(reason: str) -> list[str]:
 
 
 def kept_lines(widths: Mapping[str, float | None]) -> list[str]:
-    """Name the numbers that the flight does not identify, which keep their laws.
+    """Name the numbers that the flight does not identify; these keep their laws.
 
     Args:
-        widths: Standard deviation that the flight leaves to each number, relative to that of its law, by name; None:
-            the output does not depend on the number.
+        widths: Standard deviation that the flight leaves to each number, relative to that of the number's law, by name;
+            None: the output does not depend on the number.
     """
     lines = []
     for name, width in widths.items():
@@ -356,7 +364,8 @@ def residual_text(label: str, noise: Mapping[str, Any], unit: str) -> str:
 
     Args:
         label: Name of the residual.
-        noise: Its ``rms``, ``output_std``, ``correlated_share``, ``correlation_time`` and ``white_probability``.
+        noise: The residual's ``rms``, ``output_std``, ``correlated_share``, ``correlation_time`` and
+            ``white_probability``.
         unit: Unit of the output.
     """
     text = f"{label}: {noise['rms']:.4g} {unit} rms of an output with a standard deviation of {noise['output_std']:.4g}"

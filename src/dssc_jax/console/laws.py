@@ -146,7 +146,8 @@ def show_fresh_draws(answer: LawErrorsAnswer) -> None:
 
 
 def least_shift_first(law: LawError) -> tuple[float, float]:
-    """Return a law's key for sorting: the estimated admissible shift of its mean, then the one with confidence.
+    """Return a law's key for sorting: the estimated admissible shift of its mean, then the admissible shift with
+    confidence.
 
     An estimate of None means that no shift reaches the limit; such laws come last.
     """

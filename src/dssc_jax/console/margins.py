@@ -39,7 +39,9 @@ def value_text(value: float | None, end: float, unit: str = "") -> str:
 
 
 def tolerance_text(limit: float | None, draws: int, end: float, unit: str = "") -> str:
-    """Format the lower tolerance limit of the critical values, or tell how many draws it would need.
+    """Format the lower tolerance limit of the critical values.
+
+    With too few draws there is no limit, and the text tells how many draws are needed.
 
     Args:
         limit: The limit; None: before the start of the walk.

@@ -138,11 +138,11 @@ def show_figures(figures: list[Path]) -> None:
 
 
 def show_point(study: "Study", point: SummaryRow, draws_equal: bool) -> None:
-    """Print violations of each requirement and of pairs of them, early ends, and quantiles of the metrics.
+    """Print violations of each requirement and of pairs of requirements, early ends, and quantiles of the metrics.
 
     Args:
         study: The study.
-        point: Summary of its only point.
+        point: Summary of the point.
         draws_equal: Whether all draws are the same, so that intervals are left out.
     """
     probability_head = () if draws_equal else PROBABILITY_HEAD
@@ -210,7 +210,7 @@ def metric_rows(study: "Study", point: SummaryRow, levels: list[str], draws_equa
     """One row for each metric: its quantiles at the levels, with intervals unless all draws are the same.
 
     Args:
-        study: The study, for the units.
+        study: The study, for the metrics and their units.
         point: Summary of a point.
         levels: Names of the quantiles in the summary, such as ``q50``.
         draws_equal: Whether all draws are the same.
@@ -227,9 +227,9 @@ def quantile_text(quantiles: SummaryRow, level: str, worst: float, with_interval
     """Format a quantile of a metric, with its interval if requested.
 
     Args:
-        quantiles: Quantiles and their intervals, by name; None means infinite.
+        quantiles: Quantiles and their intervals, by name; None stands for an infinite value.
         level: Name of the quantile, such as ``q50``.
-        worst: What draws without a value count as.
+        worst: Value that a draw without a value counts as.
         with_interval: Whether to add the interval; an infinite quantile never has one.
     """
     value = f"{quantile_value(quantiles, level, worst):.4g}"
@@ -294,7 +294,12 @@ def show_points(result: "Result") -> None:
 
 
 def percent_text(percent: float, failures: int) -> str:
-    """Format the share of failures [%] at a point of the grid: "." without failures, and "<1" below 0.5 %."""
+    """Format the share of failures at a point of the grid: "." without failures, and "<1" below 0.5 %.
+
+    Args:
+        percent: Share of the draws that fail [%].
+        failures: Number of draws that fail.
+    """
     if failures == 0:
         return "."
     return "<1" if percent < 0.5 else f"{percent:.0f}"
@@ -307,7 +312,7 @@ def show_grid(result: "Result", axes: list[str]) -> None:
 
     Args:
         result: A sweep over two axes.
-        axes: Name of the axis along the rows, and of that along the columns.
+        axes: Name of the axis along the rows, and name of the axis along the columns.
     """
     down, across = axes
     down_values = np.asarray(result.study.axes[down])

@@ -163,7 +163,10 @@ def likelihood_text(likelihood: LikelihoodAnswer) -> str:
 
 
 def outcome_text(answer: FalsifiedAnswer) -> str:
-    """Tell whether a failure was found, the worst value of a requirement or how the draw ended, and the cost."""
+    """Tell whether a failure was found, how bad the worst draw is, and the cost of the search.
+
+    The worst draw is told by the worst value of a requirement, or by how the draw ended.
+    """
     worst = answer.worst
     if worst.worst_value is not None:
         value = f"{worst.worst_value} where {worst.worst_requirement} is required"

@@ -201,8 +201,7 @@ class GradientEvaluator(Evaluator):
     def compiled(self) -> Engine:
         """The engine of the program with derivatives.
 
-        Forward mode has a lane for each draw and number. Reverse mode runs as plain XLA, because only plain XLA can be
-        differentiated backwards.
+        Forward mode has a lane for each draw and number. Reverse mode runs as plain XLA, which can differentiate it.
         """
         if self.reverse:
             program = partial(reverse_mode, names=self.names)

@@ -118,7 +118,10 @@ class LiveRun:
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Indices of the draws from the worst to the best, by smallest slack; among equals an early end comes first."""
+        """Indices of the draws from the worst to the best, by smallest slack.
+
+        Of draws with equal slack, the one that ended earlier comes first.
+        """
         end_times = np.nan_to_num(self.results["failed_at"], nan=np.inf)  # NaN: the draw ran to its end
         return np.lexsort((end_times, self.slack))
 

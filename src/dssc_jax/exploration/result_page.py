@@ -117,7 +117,7 @@ class ResultPage(Page):
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Rows from the worst to the best, by smallest slack; of equal rows, an early end comes first."""
+        """Rows from the worst to the best, by smallest slack; of rows with equal slack, the earlier end comes first."""
         requirements = self.result.study.requirements
         lanes = {}
         for name in ("outcome", "failed_at", *(requirement.name for requirement in requirements)):

@@ -99,7 +99,7 @@ class NotFound(RequestHandler):
     """Answers every request with "not found"."""
 
     def prepare(self) -> None:
-        """Answer the request before its method is looked at."""
+        """Answer the request with 404 before Tornado looks at its method."""
         self.set_status(404)
         self.finish()
 

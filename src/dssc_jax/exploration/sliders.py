@@ -59,7 +59,7 @@ class Slider(NamedTuple):
         name: Dotted name of the number in the study.
         part: Property of the number's law: :data:`MEDIAN`, :data:`WIDTH` or an argument; empty for the number itself.
         meaning: Meaning of the number.
-        unit: SI unit; empty for a width, which is relative to the study's.
+        unit: SI unit; empty for a width, which is a ratio to the width in the study.
         low: Lowest position.
         high: Highest position.
         start: Position that describes the study itself.
@@ -91,7 +91,7 @@ class Slider(NamedTuple):
     def is_argument(self) -> bool:
         """Whether the slider makes its number an argument of the compiled program.
 
-        The values of a law are arguments already, and the sample time is fixed when the program is compiled.
+        The numbers with laws are arguments already. The sample time is fixed when the program is compiled.
         """
         return not self.part and self.name != CLOCK_SLIDER
 
@@ -218,7 +218,7 @@ def sliders_of_axis(number: Number, start: float, values: Sequence[float]) -> li
 
     Args:
         number: The number.
-        start: Value of the number, or the median of its law; the ends of the slider enclose it.
+        start: Value of the number, or the median of its law; it lies within the ends of the slider.
         values: Values of the axis.
     """
     low = min(*values, start)
@@ -227,7 +227,7 @@ def sliders_of_axis(number: Number, start: float, values: Sequence[float]) -> li
 
 
 def sample_time_slider(study: Study) -> Slider:
-    """Return the slider of the sample time; the duration is a multiple of each of its positions."""
+    """Return the slider of the sample time; the duration is a whole multiple of each of the slider's positions."""
     start = study.loop.sample_time
     steps = []
     for factor in SAMPLE_TIMES:
@@ -364,7 +364,12 @@ def with_smaller_reach(study: Study, slider: Slider, reach: float) -> Slider:
 
 
 def admits(study: Study, extents: Mapping[str, SliderEnds]) -> bool:
-    """Whether a study is valid with the ends of all extents as swept values."""
+    """Whether a study is valid with both ends of each extent as swept values.
+
+    Args:
+        study: The study.
+        extents: Low and high end of each number.
+    """
     try:
         study.override({"sweep": {name: sorted(set(extent)) for name, extent in extents.items()}})
     except ConfigError:

@@ -35,7 +35,7 @@ class WrongLaws:
     """Widgets for the kind and the size of an error of the laws, and for the answer.
 
     Args:
-        on_change: Called when kind or size change; the page answers by :meth:`show`.
+        on_change: Called when the kind or the size changes; the page answers by :meth:`show`.
         on_search: Called when the largest errors are requested; the page answers by :meth:`show`.
     """
 

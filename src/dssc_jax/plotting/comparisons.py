@@ -35,9 +35,9 @@ class Marks(NamedTuple):
     """The marks of one contest of the controllers.
 
     Args:
-        colour: Their colour.
-        text: Their legend.
-        shift: Distance from the controllers' rows.
+        colour: Colour of the marks.
+        text: Legend of the marks.
+        shift: Vertical distance of the marks from the controllers' rows.
     """
 
     colour: str

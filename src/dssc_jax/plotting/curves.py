@@ -82,7 +82,7 @@ def probability_curve(ax: Axes, result: Result, axis: str) -> None:
 
 
 def line_format(x: np.ndarray) -> str:
-    """Matplotlib's format of a curve: with a dot at each point, unless there are too many to be told apart."""
+    """Matplotlib's format of a curve: a line with a dot at each point, or without dots if there are too many points."""
     return "o-" if len(x) <= MOST_MARKED_POINTS else "-"
 
 
@@ -101,7 +101,13 @@ def finish_curve(ax: Axes, result: Result, axis: str) -> None:
 
 
 def true_runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Begin and end of every run of true values in a mask of shape (n,): its first index, and the index after its last.
+    """Begin and end of every run of true values in a mask.
+
+    Args:
+        mask: Booleans, shape (n,).
+
+    Returns:
+        For each run, its first index and the index after its last.
 
     Example:
         >>> true_runs(np.array([True, True, False, True]))
@@ -130,7 +136,7 @@ def mark_certified(ax: Axes, x: np.ndarray, certified: np.ndarray) -> None:
 
 
 def mark_proved(ax: Axes, x: np.ndarray, proved: np.ndarray) -> None:
-    """Mark the parts of the axis at which the loop is proved by a bar.
+    """Mark the parts of the axis where the loop is proved, by a bar on the lower edge of the axes.
 
     Args:
         ax: Axes of the curve.
@@ -147,7 +153,10 @@ def mark_proved(ax: Axes, x: np.ndarray, proved: np.ndarray) -> None:
 
 
 def quantiles(result: Result, measure: Measure) -> np.ndarray:
-    """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
+    """The 5 %, 50 % and 95 % quantiles of a metric over the draws, shape (3, axes...).
+
+    A draw without a value counts as the worst value of the metric.
+    """
     return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95), measure.metric.worst)
 
 
@@ -157,7 +166,7 @@ def have_logarithms(values: np.ndarray) -> bool:
 
 
 def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Slope and intercept of log y against log x, fitted by least squares; the slope is the exponent of a power law."""
+    """Slope and intercept of log y over log x, fitted by least squares; the slope is the exponent of a power law."""
     slope, intercept = np.polyfit(np.log(x), np.log(y), 1)
     return float(slope), float(intercept)
 

@@ -64,7 +64,9 @@ def failures(result: Result) -> Figure:
 
 
 def share_probability_axis(factors: np.ndarray, columns: int) -> None:
-    """Give the panels of all uncertain numbers the same axis of probabilities, labelled where its left end is free.
+    """Give the panels of all uncertain numbers the same axis of probabilities.
+
+    A panel keeps its labels only if no other of these panels is to its left.
 
     Args:
         factors: The panels, row by row after another panel, which is the first of the figure.
@@ -142,7 +144,7 @@ class Steps(NamedTuple):
 
     Args:
         values: The metric at each step, ascending, shape (steps,).
-        ranks: Number of draws at or below each of them, of the same shape.
+        ranks: Number of draws at or below each value, shape (steps,).
         draws: Number of all draws.
         below: Number of draws below the lowest value that fits on an axis.
         above: Number of draws above the highest value that fits on an axis.
@@ -156,7 +158,7 @@ class Steps(NamedTuple):
 
     @property
     def omitted_text(self) -> str | None:
-        """How many draws lie beyond either end of the axis, for the legend; None: no draw does."""
+        """The legend's text on the draws that lie beyond either end of the axis; None if no draw does."""
         sides = {"left": self.below, "right": self.above}
         texts = [f"{count:,} further {side}" for side, count in sides.items() if count]
         return f"draws; {', '.join(texts)}" if texts else None
@@ -167,7 +169,7 @@ def steps_of_distribution(values: np.ndarray, missing: float) -> Steps:
 
     Args:
         values: The metric of each draw, shape (draws,).
-        missing: Replaces NaN.
+        missing: Value that replaces NaN.
     """
     sorted_values = sorted_draws(values, missing)
     below, end = np.searchsorted(sorted_values, [-DRAWABLE, DRAWABLE], side="right").tolist()

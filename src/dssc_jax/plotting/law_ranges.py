@@ -36,7 +36,10 @@ def law_ranges(ranges: Analysis) -> Figure:
 
 
 def probability_panel(ax: Axes, summary: JsonObject) -> None:
-    """Draw the failure probability under the best and the worst law, by the draws' weights and by new draws."""
+    """Draw the failure probability under the best and the worst law.
+
+    Each probability is drawn twice: from the weights of the draws, and from new draws.
+    """
     handles = []
     for place, name in enumerate(("lowest", "highest")):
         extreme = summary[name]

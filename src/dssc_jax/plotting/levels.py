@@ -23,7 +23,7 @@ def level_of(law: Law, values: np.ndarray) -> np.ndarray:
 
 
 def law_axis(ax: Axes, names: Sequence[str], subject: str) -> None:
-    """Set up axes with one row for each number, and the levels of its law along the horizontal axis.
+    """Set up axes with one row for each number, and with the level in the number's law along the horizontal axis.
 
     Args:
         ax: Axes to set up.

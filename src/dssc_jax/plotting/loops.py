@@ -19,7 +19,7 @@ LOWEST_GAIN = -60.0
 def loop_margins(margins: Analysis, point: str | None = None, broken_at: str | None = None) -> Figure:
     """Plot Bode and Nyquist diagrams of the open loop L, S and T, and the distributions of phase and delay margin.
 
-    Bands hold 90 % of the draws at each frequency; curves in the Nyquist diagram are single draws.
+    Bands contain 90 % of the draws at each frequency. Curves in the Nyquist diagram are single draws.
 
     Args:
         margins: The return value of :func:`dssc_jax.loop_margins`.

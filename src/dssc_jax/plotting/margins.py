@@ -33,7 +33,7 @@ class MarginSummary(TypedDict):
 
 
 def summary_of(margins: Analysis) -> MarginSummary:
-    """The summary of an analysis, which :func:`dssc_jax.margin` made, with the types of its entries."""
+    """The summary of an analysis that :func:`dssc_jax.margin` made, with the types of the summary's entries."""
     return cast("MarginSummary", margins.summary())
 
 
@@ -71,7 +71,7 @@ def degradation_panel(ax: Axes, walk_values: xr.DataArray, summary: MarginSummar
 
 
 def set_walk_axis(ax: Axes, summary: MarginSummary) -> None:
-    """Set scale and limits of the horizontal axis, which runs from the safe end of the walk to the other."""
+    """Set scale and limits of the horizontal axis, which runs from the start of the walk, the safe end, to the end."""
     start, end = summary["bounds"]
     ax.set_xscale("log" if summary["log"] else "linear")
     ax.set_xlim(start, end)

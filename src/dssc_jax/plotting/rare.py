@@ -12,7 +12,9 @@ from dssc_jax.results.analysis import Analysis
 
 @styled
 def rare(event: Analysis) -> Figure:
-    """Plot the failure probability by each repeat, by the method and by plain draws, and where failures lie.
+    """Plot the failure probability and where failures lie.
+
+    The probability is that of each repeat, of the method, and of plain draws.
 
     Args:
         event: The return value of :func:`dssc_jax.rare`.

@@ -89,7 +89,7 @@ def history_panel(ax: Axes, tuned: Analysis) -> None:
 def cost_panel(ax: Axes, tuned: Analysis, verdict: VerdictSummary) -> None:
     """Draw the distribution functions of the fresh draws' costs at the start and at the result, with the objectives.
 
-    A draw without a cost counts as infinite, so its curve ends below 1.
+    A draw without a cost counts as infinite, so that the curve ends below 1.
     """
     for name, colour, aggregate in zip(("start", "tuned"), (GREY, ORANGE), verdict["objective"], strict=True):
         cost = tuned.dataset[f"cost_{name}"].values
@@ -104,7 +104,8 @@ def cost_panel(ax: Axes, tuned: Analysis, verdict: VerdictSummary) -> None:
 
 @styled
 def falsification(falsified: Analysis) -> Figure:
-    """Plot slacks along the search and over the distance of the draws, and where the worst draw lies within the laws.
+    """Plot the slacks along the search and over the distance of the draws, and the place of the worst draw within the
+    laws.
 
     Args:
         falsified: The return value of :func:`dssc_jax.falsify`.
@@ -151,12 +152,13 @@ def search_panel(ax: Axes, falsified: Analysis) -> None:
 
 
 def distance_panel(ax: Axes, falsified: Analysis, limit: Mapping[str, float] | None) -> None:
-    """Draw the slack of each simulation over the distance from the median draw.
+    """Draw the slack of each simulation over the distance of its draw from the median draw.
 
     Args:
         ax: Axes to draw into.
         falsified: The analysis.
-        limit: Largest ``distance`` of the search, and the ``mass``, the share of all draws, within; None: no limit.
+        limit: Largest ``distance`` of the search, and the ``mass``, which is the share of all draws within this
+            distance; None: no limit.
     """
     slack = finite_slack(falsified)
     distance = falsified.dataset["distance"]
@@ -172,7 +174,10 @@ def distance_panel(ax: Axes, falsified: Analysis, limit: Mapping[str, float] | N
 
 
 def marked_draws(falsified: Analysis) -> Iterator[tuple[str, int, str]]:
-    """Name, index and marker of the worst draw and, if any draw fails, of the failure nearest to the median draw."""
+    """Yield name, index and marker of the draws to mark: the worst draw, and the failure nearest to the median draw.
+
+    If no draw fails, only the worst draw is marked.
+    """
     slack = falsified.dataset["slack"].values
     distance = falsified.dataset["distance"].values
     yield "worst draw", int(np.argmin(slack)), "o"

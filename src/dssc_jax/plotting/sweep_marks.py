@@ -17,7 +17,7 @@ def free_axes(result: Result) -> list[str]:
 
 
 def certified_region(result: Result) -> xr.DataArray | None:
-    """Whether Theorem 1 certifies the loop at each point, over :func:`free_axes`; None if it certifies no point."""
+    """Whether Theorem 1 certifies the loop at each point, over :func:`free_axes`; None if no point is certified."""
     dataset = result.with_theorem().dataset
     if "certified" not in dataset or not dataset["certified"].any():
         return None
@@ -38,14 +38,15 @@ def reaches_study_value(result: Result, name: str) -> bool:
 
 
 def mark_study_value(ax: Axes, result: Result, name: str, direction: Direction, on_map: bool = False) -> None:
-    """Draw a dotted line at the study's own value of a swept number, if the axis reaches it.
+    """Draw a dotted line at the study's own value of a swept number, if the axis reaches this value.
 
     Args:
         ax: Axes to draw into.
         result: A sweep.
         name: The swept number.
         direction: The axis along which the number grows.
-        on_map: Whether the line is white with a dark rim and has no legend entry; else it is grey and has one.
+        on_map: Whether the line is drawn on a map, white with a dark rim and without a legend entry. Otherwise it is
+            grey and has a legend entry.
     """
     value = study_value(result, name)
     if value is None or not reaches_study_value(result, name):

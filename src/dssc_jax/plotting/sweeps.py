@@ -84,9 +84,10 @@ def sweep_curves(result: Result) -> Figure:
 
 
 def sweep_maps(result: Result) -> Figure:
-    """Plot two maps over two axes with a common legend: standings or the failure probability, and the headline metric.
+    """Plot two maps over two axes with a common legend.
 
-    Standings are plotted if the points were proved.
+    The left map shows the standings if the points were proved, and otherwise the failure probability. The right map
+    shows the headline metric.
     """
     figure = Figure(figsize=(SLIDE[0], SLIDE[1] + 0.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
@@ -133,7 +134,7 @@ def probability(result: Result, ax: Axes | None = None) -> Figure:
 
 @styled
 def standing(result: Result, ax: Axes | None = None) -> Figure:
-    """Plot the standing of each point of a sweep over two axes: proved, no draw fails, some draws fail, or all fail.
+    """Plot the standing of each point of a sweep over two axes: proved, no draw fails, some draws fail, or all do.
 
     Args:
         result: A sweep with proofs; axes beyond the second are held at their first value.
@@ -217,7 +218,10 @@ def over_two_axes(result: Result) -> Result:
 
 
 def ascending(result: Result, axes: Sequence[str]) -> Result:
-    """The result with the points along some axes of its sweep sorted by value; a study may list them in any order."""
+    """The result with the points sorted by value along some axes of its sweep.
+
+    A study may list the values of an axis in any order.
+    """
     return replace(result, dataset=result.dataset.sortby(list(axes)))
 
 
@@ -228,7 +232,9 @@ def fixed_parameters_text(result: Result) -> str:
 
 
 def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
-    """Draw the failure probability as a map, with contours at one half and of the upper bound at 5 %.
+    """Draw the failure probability as a map, with two contours.
+
+    They are where the probability is one half, and where the upper bound of its interval is 5 %.
 
     Args:
         ax: Axes to draw into.
@@ -287,7 +293,10 @@ def median_map(ax: Axes, result: Result, measure: Measure, down: str, across: st
 
 
 def colour_cap(result: Result, measure: Measure) -> float | None:
-    """Upper end of a logarithmic map's colours: 30 times the metric's lowest upper limit; None without such a limit."""
+    """Upper end of a logarithmic map's colours: 30 times the lowest upper limit that the study sets for the metric.
+
+    An upper limit of 0 is ignored. Without another upper limit, the result is None.
+    """
     upper_limits: list[float] = []
     for requirement in result.study.requirements:
         if requirement.measure.name == measure.name and requirement.maximum:
@@ -338,7 +347,12 @@ def finish_map(ax: Axes, result: Result, down: str, across: str, keys: Sequence[
 
 
 def map_handles(result: Result, keys: Sequence[LineKey]) -> list[Line2D | Patch]:
-    """Legend entries of the white lines of a map: its contours, the study's own values, and the certified region."""
+    """Legend entries of a map: its contours, the study's own values, and the certified region.
+
+    Args:
+        result: A result over two axes.
+        keys: Text and line style of each contour.
+    """
     all_keys = list(keys)
     if any(reaches_study_value(result, name) for name in free_axes(result)):
         all_keys.append((STUDY_VALUE_LEGEND, ":"))

@@ -69,7 +69,7 @@ def oscillations_panel(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: 
     Args:
         ax: Axes to draw into.
         oscillations: Amplitudes by controller.
-        local: Local margin [s]; None: it is not drawn.
+        local: Local margin [s]; None: no line is drawn for it.
     """
     for colour, (name, oscillation) in zip(cycle(THEORY_COLOURS), oscillations.items(), strict=False):
         swept_number = next(iter(oscillation.dims))  # the only dimension, named by the study's number
@@ -92,7 +92,7 @@ def oscillations_panel(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: 
 def draw_distribution(ax: Axes, margins: xr.Dataset, summary: MarginSummary, name: str, colour: str) -> None:
     """Draw the distribution function of critical values along the walk.
 
-    It does not begin at 0 if draws fail at the start of the walk, and does not reach 1 if draws pass to its end.
+    The curve begins above 0 if draws fail at the start of the walk, and ends below 1 if draws pass to its end.
 
     Args:
         ax: Axes to draw into.
@@ -113,7 +113,11 @@ def draw_distribution(ax: Axes, margins: xr.Dataset, summary: MarginSummary, nam
 
 
 def line_style(criterion: Sequence[str]) -> str:
-    """Line style of a criterion: solid if simulated, dashed if linearised and sampled, dotted in continuous time."""
+    """Line style of a criterion: solid if simulated, dashed if linearised and sampled, dotted in continuous time.
+
+    Args:
+        criterion: The criterion in words.
+    """
     text = " ".join(criterion)
     if "linearised" not in text:
         return "-"

@@ -90,7 +90,7 @@ def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Fi
     Args:
         run: The return value of ``simulate`` or ``replay``.
         names: Variables of the trajectory, at most five.
-        ax: Axes to draw into, for signals of one unit; None: a new figure.
+        ax: Axes to draw into, if all signals have one unit; None: a new figure.
 
     Raises:
         KeyError: The trajectory has no such signal.
@@ -157,7 +157,7 @@ def signal_label(run: xr.Dataset, name: str) -> str:
 def flight(run: xr.Dataset) -> Figure:
     """Plot a plant of several channels: path, attitude and other signals of a vehicle, then commands and errors.
 
-    A channel whose error and command are rounding noise is left out, and named in the title.
+    A channel whose error and command are only rounding noise is left out, and the title names it.
     """
     channels = [str(name).removesuffix("_y_ref") for name in run if str(name).endswith("_y_ref")]
     active = [channel for channel in channels if not is_noise(run, channel)] or channels
@@ -250,7 +250,7 @@ def is_noise(run: xr.Dataset, channel: str) -> bool:
 
 
 def largest_magnitude(run: xr.Dataset, name: str) -> float:
-    """Largest finite magnitude of a signal; 0 if there is none."""
+    """Largest finite magnitude of a signal; 0 if no value is finite."""
     values = np.abs(run[name].values)
     return float(np.max(values[np.isfinite(values)], initial=0.0))
 

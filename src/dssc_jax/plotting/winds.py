@@ -49,7 +49,7 @@ def worst_wind(search: Analysis) -> Figure:
 
 
 def worst_text(answer: JsonObject) -> str:
-    """The worst value of a signal with its unit, in words; no value if the flight ends early."""
+    """The worst value of a signal with its unit, in words; "ends early" if the flight has no such value."""
     if answer["worst"] is None:
         return "ends early"
     value = f"{answer['worst']:.4g}"

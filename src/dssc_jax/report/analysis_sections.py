@@ -65,7 +65,8 @@ def row_table(caption: str, rows: Mapping[str, Mapping[str, object]], labels: Ma
 
     Args:
         caption: Caption of the table.
-        rows: Values of each row by column; a column that a row lacks, or whose value does not fit, stays empty there.
+        rows: Values of each row by column. The cell stays empty if the row lacks the column, or if the value does not
+            fit.
         labels: Header of each column.
     """
     cells = []
@@ -108,7 +109,10 @@ def entry_label(meanings: Meanings, place: str, name: str) -> h.Node:
 
 
 def summary_rows(value: object) -> dict[str, Mapping[str, object]]:
-    """Find the rows of a mapping of mappings by name, or of a list of mappings by rank; empty for any other value."""
+    """Find the rows in a value of a summary; empty if the value has none.
+
+    A mapping of mappings has its rows by name, and a list of mappings has its rows by rank.
+    """
     rows = {}
     if isinstance(value, list):
         rows = {str(rank): row for rank, row in enumerate(value, start=1)}
@@ -139,7 +143,7 @@ def leading_words(columns: Sequence[str], rows: Collection[Mapping[str, object]]
 
 
 def cell(value: object) -> str | None:
-    """Format a single value or a short list; None if it does not fit into a cell."""
+    """Format a single value or a short list; None if the value does not fit into a cell."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):

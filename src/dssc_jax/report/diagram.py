@@ -172,16 +172,16 @@ def draw_addition(
 
 
 def draw_feedback(drawing: Drawing, study: Study, start: int, target: int) -> int:
-    """Draw the feedback from the output to the controller, through sensor and differentiator if there are any.
+    """Draw the feedback from the output to the controller, through sensor and differentiator if the study has them.
 
     Args:
         drawing: The drawing.
         study: The study.
-        start: Horizontal position at which the feedback leaves the output.
-        target: Horizontal position at which it enters the controller from below.
+        start: Horizontal position at which the feedback leaves the output [px].
+        target: Horizontal position at which the feedback enters the controller from below [px].
 
     Returns:
-        Lower edge of the feedback.
+        Lower edge of the feedback [px].
     """
     drawing.elements.append(h.circle(".node", cx=start, cy=MIDDLE, r=3))
     slots = [slot for slot in ("sensor", "differentiator") if present_kinds(study, slot)]
@@ -246,7 +246,14 @@ def part_kind(study: Study, slot: str) -> str:
 
 
 def present_kinds(study: Study, slot: str) -> list[str]:
-    """The kinds of a part that do something, each once: of all channels, of single channels, of measured signals."""
+    """The kinds of a part that has an effect, each kind once.
+
+    The part may be set for all channels, for single channels, or for measured signals.
+
+    Args:
+        study: The study.
+        slot: The kind of part, such as ``sensor``.
+    """
     section = getattr(study.config, section_of(study.config, slot))
     parts = section
     if isinstance(section, dict):  # the part of all channels, with tables of single channels in it
@@ -257,7 +264,7 @@ def present_kinds(study: Study, slot: str) -> list[str]:
 
 
 def has_nominal(study: Study) -> bool:
-    """Whether the controller has a nominal part, told by the names of its numbers."""
+    """Whether the controller has a nominal part, by the names of the controller's numbers."""
     names = [name for name in study.leaves() if name.startswith("controller.")]
     return any("nominal" in name.split(".") for name in names)
 

@@ -29,7 +29,7 @@ class Section(NamedTuple):
 
 
 def number(value: float | None) -> str:
-    """Format a number with four significant digits; None, the value of a draw that ended early, is infinite."""
+    """Format a number with four significant digits; None, the value of a draw that ended early, becomes infinite."""
     if value is None:
         return "∞"
     if math.isnan(value):
@@ -40,7 +40,7 @@ def number(value: float | None) -> str:
 
 
 def with_unit(value: float, unit: str) -> str:
-    """Format a number followed by its unit, if it has one."""
+    """Format a number, followed by its unit unless the unit is 1."""
     return number(value) if unit in ("", "1") else f"{number(value)} {unit}"
 
 

@@ -149,12 +149,14 @@ def write(result: Result | Analysis, path: str | Path, worst: int = WORST_DRAWS)
 
 
 def write_page(text: str, path: Path, result: Result | Analysis | None = None) -> None:
-    """Write a page; characters that UTF-8 does not have, lone surrogates of damaged names, are replaced.
+    """Write a page.
+
+    Characters that UTF-8 does not have, such as lone surrogates of damaged names, are replaced.
 
     Args:
         text: The page.
         path: The file.
-        result: The result or analysis that the page shows, which a comment at its end identifies for
+        result: The result or analysis that the page shows. A comment at the end of the page identifies it for
             :func:`is_current`; None: no comment.
     """
     content = text.encode("utf-8", "replace")

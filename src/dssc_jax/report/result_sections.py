@@ -58,7 +58,7 @@ def outcome(subject: Subject) -> Section:
 
 
 def stated_errors(subject: Subject) -> h.Node:
-    """Table of the failure probability if the laws are wrong by stated amounts; None if no amounts were stated."""
+    """Table of the failure probability under laws that are wrong by stated amounts; None if no amounts were stated."""
     amounts = subject.result.stated
     if not amounts:
         return None
@@ -187,7 +187,10 @@ def point_tables(subject: Subject) -> list[h.Node]:
 
 
 def point_cells(subject: Subject, point: SummaryRow) -> tuple[h.Node, ...]:
-    """Cells of a point of a sweep: its values, failures, main failure, median of the headline metric, certificate."""
+    """Cells of a point of a sweep: its values, failures, most violated requirement, median, and verdict of Theorem 1.
+
+    The median is that of the headline metric. With a single requirement, the cell of the most violated one is left out.
+    """
     values = (number(point[name]) for name in subject.result.study.axes)
     measure = headline_measure(subject.result.study)
     median = quantile_value(point["metrics"][measure.name], "q50", measure.metric.worst)
@@ -285,7 +288,7 @@ def causes(subject: Subject) -> Section | None:
 
 
 def worst_draws_section(subject: Subject) -> Section | None:
-    """Section with the draws of the smallest slacks over time; None if none are to be simulated again."""
+    """Section with the draws of the smallest slacks over time; None if no draws are to be simulated again."""
     if subject.worst and isinstance(subject.result.study, Described):
         names = ", ".join(subject.result.study.code)
         return Section("worst", "The worst draws", h.p[FOREIGN_CODE, h.code[names], "."])
@@ -309,7 +312,7 @@ def worst_draws_section(subject: Subject) -> Section | None:
 
 
 def trajectory_without_title(run: xr.Dataset) -> Figure:
-    """Plot a trajectory without a title, since its caption says the same."""
+    """Plot a trajectory without a title, because the caption in the report says the same."""
     figure = plotting.trajectory(run)
     figure.suptitle("")
     return figure

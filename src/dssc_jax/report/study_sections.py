@@ -203,7 +203,7 @@ def time_text(text: str) -> str:
 
 
 def without_none(table: Mapping[str, object]) -> dict[str, object]:
-    """A table without its None values, since TOML has no null, and an absent name means the same."""
+    """A table without its None values: TOML has no null, and leaving a name out means the same."""
     return {name: value_without_none(value) for name, value in table.items() if value is not None}
 
 

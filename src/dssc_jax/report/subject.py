@@ -79,7 +79,7 @@ class Subject:
     def trajectories(self) -> list[xr.Dataset]:
         """Trajectories of the worst draws at the point shown in detail; none for a study whose code is not loaded.
 
-        The attributes ``agreement`` and ``deviation`` compare them with the stored draws.
+        The attributes ``agreement`` and ``deviation`` of a trajectory tell how well it agrees with the stored draw.
         """
         if not self.worst or isinstance(self.result.study, Described):
             return []

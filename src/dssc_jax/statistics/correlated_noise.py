@@ -128,7 +128,7 @@ class Drift(NamedTuple):
     span: float
 
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transition matrices of the state (p, v) over gaps [s], and the covariances they add; shape (n, 2, 2) each."""
+        """Transition matrices of the state (p, v) over gaps [s], and the covariance of each gap; (n, 2, 2) each."""
         w = gaps / self.time
         p_scale = 1.0 / math.sqrt(self.mean_square)
         transition = np.zeros((len(w), 2, 2))

@@ -78,7 +78,7 @@ class Mode(NamedTuple):
 
     @property
     def evidence(self) -> float:
-        """Logarithm of the integral of the density."""
+        """Logarithm of the integral of the posterior density, in its normal approximation."""
         size = len(self.point)
         _, log_determinant = np.linalg.slogdet(self.spread)
         return self.density + 0.5 * size * math.log(2.0 * math.pi) + float(log_determinant)

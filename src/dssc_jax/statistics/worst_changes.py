@@ -124,7 +124,7 @@ class WeightedDraws:
         bounds = [(low, high) if is_free else (0.0, 0.0) for is_free in self.free]
 
         def cost(amounts: np.ndarray) -> tuple[float, np.ndarray]:
-            """Logarithm of the sum of the failing draws' weights, with the sign that a minimum needs, and its slope."""
+            """The function to minimise and its slope: -``sign`` times the log sum of the failing draws' weights."""
             logarithms = self.change.log_weights(amounts, failing)
             largest = logarithms.max()  # keeps the exponential finite
             weights = np.exp(logarithms - largest)
@@ -139,7 +139,9 @@ class WeightedDraws:
         return np.asarray(best.x)
 
     def _starts(self, failing: np.ndarray, sign: float, low: float, high: float) -> list[np.ndarray]:
-        """Starts of the search: no change, the corner along the gradient there, and corners towards failing draws.
+        """Starts of the search: no change, the corner along the gradient at no change, corners towards failing draws.
+
+        A corner has the least or the greatest amount of every number.
 
         Args:
             failing: Scores of the failing draws, shape (failures, numbers).
