@@ -22,7 +22,7 @@ def begin_plant(loop: Loop, params: LoopParams, key: jax.Array) -> State:
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key; only a plant with a state outside of JAX uses it, to tell its instances apart.
     """
     state = loop.plant.init(params.plant)
@@ -44,7 +44,7 @@ def begin_controller(loop: Loop, params: LoopParams, key: jax.Array, i: int, sta
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         i: Index of the channel.
         state: The state that the controller's ``init`` returned.

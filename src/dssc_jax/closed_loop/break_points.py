@@ -137,7 +137,7 @@ def sample_map(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         k: Index of the sample.
 

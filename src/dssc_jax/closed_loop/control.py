@@ -71,7 +71,7 @@ def measure(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         plant: The plant's state.
         references: The desired outputs.
         drive: The plant's input just before; None: commands and disturbances are 0.
@@ -129,7 +129,7 @@ def initial_control(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         i: Index of the channel.
         reading: The sensor's first reading.
         reference: The desired output.
@@ -146,7 +146,7 @@ def first_signals(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         i: Index of the channel.
         reading: The sensor's reading.
         reference: The desired output.
@@ -207,7 +207,7 @@ def control(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         i: Index of the channel.
         state: State of differentiator and controller.
         reading: The sensor's reading.
@@ -234,7 +234,7 @@ def transfer_control(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         i: Index of the channel.
         reading: The sensor's reading at this sample.
         reference: The desired output at this sample.

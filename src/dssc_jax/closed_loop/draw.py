@@ -81,7 +81,7 @@ def initial_progress(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.
@@ -150,7 +150,7 @@ def make_sample_step(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.
@@ -233,20 +233,21 @@ def simulate_draw(
 ) -> Run:
     """Simulate one draw without recording it; memory does not grow with the duration.
 
-    A draw ends early at the sample whose state is not finite or at which the plant's model is no longer valid. Its
-    metrics are NaN and its slacks -inf, regardless of later values in the time loop. A settled draw keeps its metrics.
+    A draw ends early at the sample whose state is not finite, or at which the plant's model is no longer valid. The
+    metrics of such a draw are NaN and the slacks -inf, regardless of later values in the time loop. A settled draw
+    keeps its metrics.
 
     The state of a draw that has ended is frozen (see :func:`make_sample_step`) in two cases. If derivatives may be
     taken (``axis_name`` is None), later values must be finite. If draws may settle, their metrics must stay.
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.
-        axis_name: Name of the mapped axis of the draws that share the time loop, which stops when all of them have
-            ended. None: the loop has its full length, as derivatives require.
+        axis_name: Name of the mapped axis of the draws that share the time loop. The loop stops when all of these draws
+            have ended. None: the loop has its full length, as derivatives require.
         segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`; for ``axis_name`` = None only.
         margins: Value of each margin of the linearised loop among the measures, by the measure's name.
     """
@@ -279,7 +280,7 @@ def simulate_recorded(
 
     Args:
         loop: The models and the clock, as for :func:`simulate_draw`, like all arguments but ``stride``.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.

@@ -26,7 +26,7 @@ def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State)
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         plant: The true state of the plant.
 
@@ -51,7 +51,7 @@ def next_estimate(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         plant: State of the plant, which contains the error of the estimate.
         memory: Memory of the estimator before its step.
@@ -78,7 +78,7 @@ def measurements_for_sensors(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         plant: The plant's state, with the error of the estimate.
         references: The desired outputs.
         drive: The plant's input just before the sample.

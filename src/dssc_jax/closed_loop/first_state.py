@@ -75,7 +75,7 @@ def first_channel_readings(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         measurements: The plant's outputs at t = 0, true or estimated.
     """

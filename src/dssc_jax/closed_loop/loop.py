@@ -43,10 +43,10 @@ class LoopParams(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """The rule that ends a draw: it has settled once |e| <= ``error`` in every channel for a time ``hold``.
+    """The rule that ends a draw: it has settled once |e| <= ``error`` in every channel for the time ``hold``.
 
     Args:
-        error: Bound on |e| [m; rad for psi].
+        error: Bound on |e| in the unit of the output [m; rad for psi].
         hold: Time for which the bound must hold [s].
         after: Time before which no sample counts [s].
     """
@@ -72,18 +72,18 @@ class Loop:
         unmodelled: Dynamics between command and plant that the controllers do not know.
         disturbance: Matched disturbances.
         channels: Names of the channels; one empty name for a plant with one channel.
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
         steps: Number of samples.
         substeps: Integrator steps between two samples.
         integrator: Method of integration.
-        settled: Rule for ending a settled draw; None: never.
+        settled: Rule for ending a settled draw; None: no draw ends in this way.
         inputs: A disturbance at each input that the plant names.
-        input_names: Names of these inputs.
+        input_names: Names of the inputs of ``inputs``.
         outputs: Signals that the plant's monitor reports and that are declared with unit and meaning.
         measures: Signals that are measured beside y and y' of each channel.
         signal_sensor: A sensor for each measured signal.
         events: Events of the vehicle, such as the loss of a rotor.
-        rotors: Number of its rotors if there are events, else 0.
+        rotors: Number of the vehicle's rotors if there are events, else 0.
     """
 
     plant: Plant

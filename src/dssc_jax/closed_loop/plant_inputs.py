@@ -12,7 +12,7 @@ def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], comma
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         unmodelled: States of the unmodelled dynamics.
         commands: Commands of the controllers.
     """
@@ -31,7 +31,7 @@ def receive_command(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         unmodelled: The state before the sample.
         i: Index of the channel.
@@ -56,7 +56,7 @@ def plant_input(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         input_states: State of the disturbance of each channel, then of each named input.
         wind: State of the wind.
         plant: State of the plant at the stage.

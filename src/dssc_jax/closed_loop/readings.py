@@ -41,7 +41,7 @@ def signal_values(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         plant: The plant's state.
         measurements: The plant's outputs; an angle from :func:`continuous_outputs`.
         drive: The plant's input just before the sample, so that a signal with feedthrough shows the last command.
@@ -65,7 +65,7 @@ def first_readings(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         values: True values of the signals at t = 0.
     """
@@ -85,7 +85,7 @@ def read_signals(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         states: States of the sensors before the sample.
         values: True values of the signals.

@@ -53,7 +53,7 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
 
     Args:
         loop: The models and the clock.
-        params: Their parameters; numbers may be abstract.
+        params: Parameters of the models; numbers may be abstract.
 
     Raises:
         ConfigError: A user's function fails, a state changes its form, or the same call gives different values.
@@ -171,7 +171,7 @@ def require_finite_start(part: str, state: State) -> None:
 
     Args:
         part: Path of the part in the study.
-        state: Its initial state, any tree of numbers.
+        state: Initial state of the part, any tree of numbers.
 
     Raises:
         ConfigError: A number is infinite or NaN; the message has its field.
@@ -238,7 +238,7 @@ def check_reading(model: Sensor, params: Params, measurement: Measurement, place
 
     Args:
         model: The sensor.
-        params: Its parameters.
+        params: Parameters of the sensor.
         measurement: A true measurement.
         place: Path of the sensor in the study.
         dt: Sample time T_s [s].

@@ -180,7 +180,7 @@ def control_channel(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         channel: The channel's state before the sample.
         i: Index of the channel.
@@ -263,7 +263,7 @@ def next_input_states(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         states: States of these disturbances before the sample.
         k: Index of the sample.
@@ -289,7 +289,7 @@ def step(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         state: The state at the sample.
         k: Index of the sample.

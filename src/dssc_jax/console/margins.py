@@ -127,7 +127,7 @@ def show_margin_contest(contest: MarginContest, files: list[Path]) -> None:
 def show_theory(assessment: Assessment, files: list[Path]) -> None:
     """Print local and simulated margins, predicted and simulated oscillations, and what Theorem 1 certifies.
 
-    Of the values of mu at which an oscillation is predicted, the first, the middle one and the last are printed.
+    An oscillation is predicted at several values of mu; only the first, the middle and the last value are printed.
 
     Args:
         assessment: The analysis.

@@ -95,8 +95,8 @@ class Evaluator:
         Margins of the linearised loop are slow, so they are computed only for lanes that meet all other requirements.
 
         Args:
-            indices: As for :meth:`__call__`.
-            values: As for :meth:`__call__`.
+            indices: Draw index of each lane, shape (n,).
+            values: Value of every number with a law or in ``extents``, shape (n,) each.
         """
         margins = margins_of(self.swept.measures)
         if not margins:

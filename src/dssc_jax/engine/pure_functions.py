@@ -196,8 +196,9 @@ class Stepper:
 def lane(study: Study, segment: int | None = None) -> LaneFunction:
     """The pure function of one draw, ``lane(values, index) -> results``, for ``jit``, ``vmap`` and ``grad``.
 
-    ``lane.example`` are its arguments for the first draw, and ``lane.draws(n)`` those of n draws for ``vmap``.
-    Metrics and slacks are differentiable in every value. A draw that ends early has metrics NaN and slacks -inf.
+    ``lane.example`` gives the function's arguments for the first draw, and ``lane.draws(n)`` gives the arguments of n
+    draws for ``vmap``. Metrics and slacks are differentiable in every value. A draw that ends early has metrics NaN and
+    slacks -inf.
 
     Args:
         study: The study.
@@ -230,7 +231,10 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
 
 
 def stepper(study: Study) -> Stepper:
-    """The loop as ``init(values, key) -> state`` and ``step(state) -> (state, info)``, for a time loop of one's own.
+    """The loop as ``init(values, key) -> state`` and ``step(state) -> (state, info)``, for a user's own time loop.
+
+    Args:
+        study: The study.
 
     Raises:
         ConfigError: A part keeps its state outside of JAX.

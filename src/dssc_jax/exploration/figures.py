@@ -97,7 +97,7 @@ class FanFigure:
     Args:
         study: The study, for the unit and the meaning of the signal.
         name: Name of the signal.
-        x_range: Time axis of another figure that moves together with this one; None: an axis of its own.
+        x_range: Time axis of another figure that moves together with this one; None: a new time axis.
     """
 
     def __init__(self, study: Study, name: str, x_range: Range | None = None) -> None:
@@ -292,7 +292,7 @@ class ProbabilityFigure:
 def path_views(study: Study) -> Sequence[tuple[str, str]]:
     """Return the two channels of each view of a vehicle's path, from above and from the side.
 
-    There is no view if the study has no channels x, y and z.
+    A study without the channels x, y and z has no view.
     """
     has_path = {"x", "y", "z"} <= set(study.loop.channels)
     return (("x", "y"), ("x", "z")) if has_path else ()

@@ -141,7 +141,7 @@ class ResultPage(Page):
         Args:
             attr: Name of the changed property; the arguments are those of Bokeh's callbacks.
             old: Data of ``clicked_row`` before the click.
-            new: Its data after the click; without a row, no draw was clicked.
+            new: Data of ``clicked_row`` after the click; without a row, no draw was clicked.
         """
         if len(new["row"]):
             self.replay(int(new["row"][0]))

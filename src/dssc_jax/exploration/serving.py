@@ -54,9 +54,11 @@ LARGEST_MESSAGE = 64 * 2**20
 class Refused(Matcher):
     """Matches all requests that the page does not need, so that a handler can refuse them.
 
-    A request that the page needs meets four conditions. It only reads. It names this machine as its host. Its path
-    begins with the token, and leads to the page, the page's websocket, a script or a style. If it names an origin, as a
-    websocket must, the origin is this server.
+    A request that the page needs meets four conditions:
+
+    1. The request only reads. 2. Its header Host names this machine. 3. Its path begins with the token, and leads to
+    the page, the page's websocket, a script or a style. 4. If it names an origin, as a websocket must, the origin is
+    this server.
 
     Args:
         token: The secret first part of the path.

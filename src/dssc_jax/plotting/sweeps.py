@@ -234,7 +234,7 @@ def fixed_parameters_text(result: Result) -> str:
 def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
     """Draw the failure probability as a map, with two contours.
 
-    They are where the probability is one half, and where the upper bound of its interval is 5 %.
+    One contour is where the probability is one half. The other is where the upper bound of the interval is 5 %.
 
     Args:
         ax: Axes to draw into.

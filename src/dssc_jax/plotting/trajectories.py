@@ -228,7 +228,13 @@ def channel_panels(left: Axes, right: Axes, run: xr.Dataset, channel: str) -> No
 
 
 def vehicle_panels(run: xr.Dataset) -> list[Callable[[Axes, xr.Dataset], None]]:
-    """The functions that draw attitude, rotors, wind and thrust of a vehicle, as far as the run has these signals."""
+    """The functions that draw attitude, rotors, wind and thrust of a vehicle.
+
+    A function whose signals are missing in the run is left out.
+
+    Args:
+        run: The trajectory.
+    """
     panels: list[Callable[[Axes, xr.Dataset], None]] = [attitude]
     if "rotor_1" in run:
         panels.append(rotors)
@@ -242,7 +248,8 @@ def vehicle_panels(run: xr.Dataset) -> list[Callable[[Axes, xr.Dataset], None]]:
 def is_noise(run: xr.Dataset, channel: str) -> bool:
     """Whether a channel's error and command are rounding noise.
 
-    They are if both are tiny relative to the largest output or reference, or to 1 if these are smaller.
+    This is the case if both are tiny relative to the largest output or reference, or relative to 1 if these are
+    smaller.
     """
     output_size = max(1.0, largest_magnitude(run, f"{channel}_y"), largest_magnitude(run, f"{channel}_y_ref"))
     signal_size = max(largest_magnitude(run, f"{channel}_e"), largest_magnitude(run, f"{channel}_u_total"))

@@ -56,11 +56,11 @@ def inline_svg(draw: Callable[[], Figure], text: str, prefix: str) -> Markup:
 def page_content(content: str, prefix: str) -> str:
     """The part of a figure's SVG after its opening tag, made fit for the page.
 
-    Metadata and needless digits are removed, and colours become those of the page. Identifiers get a prefix, so that
-    those of several figures on a page differ.
+    Metadata and needless digits are removed, and the figure's colours are replaced by those of the page. Identifiers
+    get a prefix, so that no two figures on a page share an identifier.
 
     Args:
-        content: That part of the SVG.
+        content: The SVG after its opening tag.
         prefix: The prefix.
     """
     content = re.sub(r"<metadata>.*?</metadata>", "", content, flags=re.DOTALL)

@@ -169,8 +169,11 @@ class Widening(Change):
     def log_second_moment(self, amounts: np.ndarray) -> float:
         """Logarithm of the mean squared weight det(D)^-2 det(2 D^-1 R^-1 D^-1 R - 1)^-1/2.
 
-        The mean is an integral of a normal density with the precision 2 D^-1 R^-1 D^-1 - R^-1. It is infinite unless
-        this matrix is positive definite.
+        The mean is an integral of a normal density with the precision 2 D^-1 R^-1 D^-1 - R^-1. If this matrix is not
+        positive definite, the mean is infinite.
+
+        Args:
+            amounts: Amount of the change of each number, shape (numbers,); D = diag(exp(amounts)).
         """
         inverse_widths = np.exp(-amounts)
         moment_precision = 2.0 * self.precision * np.outer(inverse_widths, inverse_widths) - self.precision

@@ -111,7 +111,8 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
 class Assembly(NamedTuple):
     """A plant's linear part in series with the linear unmodelled dynamics of each channel, as one linear system.
 
-    Its state x lists the plant's states, then the states of the linear unmodelled dynamics, channel by channel.
+    The state x of the system has the plant's states first, then the states of the linear unmodelled dynamics, channel
+    by channel.
 
     Args:
         a: State matrix, shape (n, n).
@@ -197,7 +198,7 @@ def find_remainder_rows(plant: Plant[Measurements, Signals], params: Params, cha
 
     Args:
         plant: The plant.
-        params: Its parameters.
+        params: Parameters of the plant.
         channels: Number of channels.
     """
     if plant.remainder is None:
@@ -242,7 +243,7 @@ def scatter_state(assembly: Assembly, x: Sequence[Scalar], plant: State, states:
 
     Args:
         assembly: The linear system.
-        x: Its state, length n.
+        x: State of the linear system, length n.
         plant: A state of the plant, which gives the structure.
         states: States of the unmodelled dynamics. Linear ones give their structure; all others are returned as they
             are, because x does not contain them.
@@ -271,7 +272,7 @@ def etd_step(
     moves the state by the exact solution for a polynomial through the values so far.
 
     Args:
-        held_system: The exact solution over the step and over half of it.
+        held_system: The exact solution over the step and over half the step.
         parts: The models.
         x: State of the linear system, length n.
         inputs: For each channel the terms of its command, a polynomial in time over the step.

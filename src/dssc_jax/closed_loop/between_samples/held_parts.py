@@ -37,7 +37,7 @@ class HeldParts(NamedTuple):
         unmodelled: Unmodelled dynamics of each channel.
         variations: How the disturbance of each channel, then of each named input, varies within a sample.
         integrator: Method of integration of the nonlinear parts.
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
         substeps: Number of steps in a sample for parts without an exact solution.
     """
 
@@ -87,13 +87,13 @@ def make_movers(parts: HeldParts, unmodelled: States, h: float) -> list[Mover]:
 def make_mover(model: Unmodelled, params: Params, h: float) -> Mover:
     """Return the function that advances the part of unmodelled dynamics that is not linear, over one step.
 
-    That function takes the state and the command. It returns the next state, and mean and rise over the step of the
-    signal that enters the linear part, or the plant if there is no linear part. If the model does not state mean and
-    rise, they follow from its output at three times, by Simpson's rule.
+    The returned function takes the state and the command. Its results are the next state, and mean and rise over the
+    step of the signal that enters the linear part, or the plant if there is no linear part. If the model does not state
+    mean and rise, they follow from its output at three times, by Simpson's rule.
 
     Args:
         model: The unmodelled dynamics.
-        params: Their parameters.
+        params: Parameters of the dynamics.
         h: Length of the step [s].
     """
     if model.advance is not None:

@@ -19,7 +19,8 @@ def initial_accumulators(
 ) -> tuple[Accumulator, ...]:
     """The accumulator of every measure before the first sample.
 
-    A margin of the linearised loop is known before the flight, and no sample changes it. Its accumulator is its value.
+    A margin of the linearised loop is known before the flight, and no sample changes it. Therefore the accumulator of a
+    margin is the margin itself.
 
     Args:
         measures: The measures.
@@ -39,7 +40,7 @@ def update_accumulators(
 
     Args:
         measures: The measures.
-        accumulators: Their accumulators before the sample.
+        accumulators: Accumulator of each measure before the sample.
         instant: The loop at the sample.
         k: Index of the sample.
         t_s: Sample time T_s [s].
@@ -63,7 +64,7 @@ def final_values(
 
     Args:
         measures: The measures.
-        accumulators: Their accumulators after the last sample.
+        accumulators: Accumulator of each measure after the last sample.
         steps: Number of samples of the run.
         t_s: Sample time T_s [s].
     """

@@ -104,7 +104,7 @@ class Requirement:
     def slack(self, value: Scalar) -> Scalar:
         """Signed distance of a value from the bound, in the metric's unit: negative if the requirement is violated.
 
-        The margin of a loop without an operating point is NaN. It counts as the margin at the limit of stability.
+        For a loop without an operating point, the margin is NaN and counts as the margin at the limit of stability.
         """
         margin = self.measure.metric.margin
         if margin is not None:
@@ -180,7 +180,7 @@ def watch(
         violations: The result after the previous sample; 0 for each watched requirement before the first sample.
         samples: Number of samples so far.
         steps: Number of samples of the run.
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
 
     Returns:
         For each watched requirement, the number of samples after which it was first violated; 0: not yet.
@@ -216,7 +216,7 @@ def certain_violations(
         accumulators: Accumulator of each measure at the end of the draw.
         violations: Result of :func:`watch` at the end of the draw.
         steps: Number of samples of the draw.
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
 
     Returns:
         The number of samples by the requirement's label; it means nothing if the requirement is met.

@@ -129,8 +129,8 @@ class Window:
     def suffix(self, default_window: "Window") -> str:
         """The end of a measure's name that identifies its window, such as ``_after_2``.
 
-        It is empty for the study's default window. For any other window it has the start, and each other value that
-        differs from the default.
+        The end is empty for the study's default window. For any other window, the end has the window's start, and each
+        other value that differs from the default.
 
         Args:
             default_window: The study's default window.
@@ -180,7 +180,7 @@ class Span(NamedTuple):
     Args:
         steps: Number of samples up to the end of the window.
         sample_count: Number of samples in the window.
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
     """
 
     steps: Scalar
@@ -212,7 +212,7 @@ def samples_before_end(window: Window, sample_time: float, steps: Scalar) -> Sca
 
     Args:
         window: The window, which ends at ``window.until`` [s].
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
         steps: Number of samples of the run, which may be traced.
     """
     if math.isinf(window.until):
@@ -227,7 +227,7 @@ def span_of(window: Window, steps: Scalar, sample_time: float) -> Span:
     Args:
         window: The window.
         steps: Number of samples of the run, which may be traced.
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
     """
     end = samples_before_end(window, sample_time, steps)
     return Span(end, end - first_sample(window.after, sample_time), sample_time)

@@ -47,7 +47,7 @@ class OperatingPoint(NamedTuple):
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         state: The loop's state before the sample.
         k: Index of the sample.
@@ -87,7 +87,7 @@ def part_maps(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         state: The loop's state before the sample.
         k: Index of the sample.

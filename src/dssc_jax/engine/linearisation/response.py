@@ -115,7 +115,7 @@ def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
 def common_grid(poles: np.ndarray) -> np.ndarray:
     """Angles theta = omega T_s in (0, pi) at which all loops are evaluated, shape (FREQUENCIES,).
 
-    They are evenly spaced in the logarithm, from below the slowest pole to the Nyquist frequency.
+    The angles are evenly spaced in the logarithm, from below the slowest pole to the Nyquist frequency.
 
     Args:
         poles: Closed-loop eigenvalues of all loops, any shape.
@@ -126,7 +126,7 @@ def common_grid(poles: np.ndarray) -> np.ndarray:
 def loop_grids(poles: np.ndarray) -> np.ndarray:
     """Angles theta = omega T_s in (0, pi) at which each loop is evaluated, shape (n, FREQUENCIES).
 
-    As :func:`common_grid`, but each loop has its own slowest pole.
+    The grid is as in :func:`common_grid`, but follows each loop's own slowest pole.
 
     Args:
         poles: Closed-loop eigenvalues, shape (n, states).
@@ -177,7 +177,7 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
     Args:
         respond: G of the loops.
         angles: Ascending angles from 0 to pi between which crossings and peaks are found, shape (n, m).
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
     """
     return ClassicalMargins(**named_margins(respond, angles, sample_time, ClassicalMargins._fields))
 
@@ -190,7 +190,7 @@ def named_margins(
     Args:
         respond: G of the loops.
         angles: Ascending angles from 0 to pi between which crossings and peaks are found, shape (n, m).
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
         names: Names of the margins: fields of :class:`ClassicalMargins`, or ``modulus``.
     """
     g = respond(angles)
@@ -220,7 +220,7 @@ def crossing_frequencies(respond: Response, angles: np.ndarray, sample_time: flo
     Args:
         respond: G of the loop.
         angles: Ascending angles from 0 to pi between which crossings are found, shape (1, m).
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
     """
     g = respond(angles)
     gains, is_gain = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
@@ -254,7 +254,7 @@ def margins_at_crossings(
         respond: G of the loops.
         angles: Ascending angles, shape (n, m).
         g: G at these angles, shape (n, m).
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
     """
     crossings, is_crossing = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
     g_at_crossings = respond(crossings) if crossings.size else 1.0

@@ -240,7 +240,7 @@ def with_part(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         place: The place.
         part: The other part.
         part_params: Parameters of the other part.
@@ -268,7 +268,7 @@ def with_inner_sides(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         places: The parts.
         findings: The :class:`Finding` of each part, shape (parts,); may be traced.
     """
