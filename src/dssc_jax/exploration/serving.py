@@ -56,9 +56,10 @@ class Refused(Matcher):
 
     A request that the page needs meets four conditions:
 
-    1. The request only reads. 2. Its header Host names this machine. 3. Its path begins with the token, and leads to
-    the page, the page's websocket, a script or a style. 4. If it names an origin, as a websocket must, the origin is
-    this server.
+    1. The request only reads.
+    2. The header Host names this machine.
+    3. The path begins with the token, and leads to the page, the page's websocket, a script or a style.
+    4. If the request names an origin, as a websocket must, the origin is this server.
 
     Args:
         token: The secret first part of the path.

@@ -212,7 +212,7 @@ class NoiseSearch:
         simulated: np.ndarray | None = None,
         only_simulated: bool = False,
     ) -> None:
-        """Find the mode of the posterior law of each kind of noise."""
+        """Find the mode of the posterior law of each kind of noise; the arguments are those of the class."""
         self.times = separate_times(times)
         self.columns = columns
         self.floor = floor
@@ -226,7 +226,7 @@ class NoiseSearch:
             simulated_kind = NoiseKind(partial(noise_of_share, simulated_noise), 1)
             self.kinds = (simulated_kind,) if only_simulated else (*NOISE_KINDS, simulated_kind)
         is_rounding = self.white.variance <= ROUNDING_VARIANCE * floor
-        if is_rounding:
+        if is_rounding:  # nothing is left for a correlated noise to explain
             self.kinds = ()
         self.modes = [find_mode(partial(self.log_density, kind), kind.scores) for kind in self.kinds]
 
@@ -244,8 +244,7 @@ class NoiseSearch:
 
         Returns:
             - The logarithm of prior density times likelihood, less white noise's log likelihood; -inf if the least
-            squares are
-              singular.
+              squares are singular.
             - The least squares.
         """
         try:
