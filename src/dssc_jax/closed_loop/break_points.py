@@ -192,7 +192,8 @@ def measured_places(channels: Sequence[str]) -> dict[str, int]:
 def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:
     """The state after the first sample, as a vector: the start of a flight along which the loop is linearised.
 
-    The state before that sample would not do, because controllers may treat the first sample unlike all others.
+    A flight for linearisation does not start at the state before that sample, because controllers may treat the first
+    sample unlike all others.
     """
     state, _ = step(loop, params, key, initial_state(loop, params, key), 0)
     vector, _ = ravel_pytree(state)

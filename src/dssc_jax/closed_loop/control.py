@@ -118,7 +118,13 @@ def unwrap(loop: Loop, i: int, measurement: Measurement, previous: State) -> Mea
 
 
 def principal_value(loop: Loop, i: int, measurement: Measurement) -> Measurement:
-    """The reading that the sensor of channel i sends to the flight computer: an angle is wrapped to (-pi, pi]."""
+    """The reading that the sensor of channel i sends to the flight computer: an angle is wrapped to (-pi, pi].
+
+    Args:
+        loop: The models and the clock.
+        i: Index of the channel.
+        measurement: The sensor's reading, continuous in time.
+    """
     return measurement._replace(y=wrap_angle(measurement.y)) if is_angle(loop, i) else measurement
 
 

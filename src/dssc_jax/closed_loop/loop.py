@@ -23,10 +23,20 @@ def signal_name(channel: str, signal: str) -> str:
 
 
 class LoopParams(NamedTuple):
-    """Parameters of every part of a :class:`Loop`, in fields with the same names; any number may be traced.
+    """Parameters of every part of a :class:`Loop`; any number may be traced.
 
-    Controllers, sensors, differentiators, unmodelled dynamics and disturbances have one element for each channel;
-    ``inputs``, ``signal_sensor`` and ``events`` have one for each model of that field.
+    Args:
+        plant: Parameters of the plant.
+        reference: Parameters of the reference.
+        wind: Parameters of the wind.
+        controller: Parameters of each channel's controller.
+        sensor: Parameters of each channel's sensor.
+        differentiator: Parameters of each channel's differentiator.
+        unmodelled: Parameters of each channel's unmodelled dynamics.
+        disturbance: Parameters of each channel's disturbance.
+        inputs: Parameters of the disturbance at each input that the plant names.
+        signal_sensor: Parameters of the sensor of each measured signal.
+        events: Parameters of each event.
     """
 
     plant: Params

@@ -260,7 +260,13 @@ def place_of(slot: str, channel: str) -> str:
 
 
 def initial_derivative(loop: Loop, params: LoopParams, state: LoopState) -> State:
-    """The derivative of the plant's state at t = 0 under zero commands."""
+    """The derivative of the plant's state at t = 0 under zero commands.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        state: The loop's state before the first sample.
+    """
     unmodelled = tuple(channel.unmodelled for channel in state.channels)
     zero_commands = (0.0,) * len(loop.channels)
     actuation = actuate(loop, params, unmodelled, zero_commands)

@@ -170,7 +170,13 @@ def main_factors(sensitivity: Sensitivity, name: str) -> str:
 
 
 def sensitivity_text(value: float, low: float, high: float) -> str:
-    """Format a sensitivity with its interval, and mark it if the interval includes 0."""
+    """Format a sensitivity with its interval, and mark it if the interval extends to 0 or below.
+
+    Args:
+        value: The sensitivity.
+        low: Lower end of the interval.
+        high: Upper end of the interval.
+    """
     return f"{value:.3g} [{low:.3g}, {high:.3g}]{'  consistent with 0' if low <= 0.0 else ''}"
 
 

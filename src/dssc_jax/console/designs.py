@@ -15,7 +15,13 @@ TableRow = tuple[str, ...]
 
 
 class DesignTable(NamedTuple):
-    """A table of text with a title, whose columns ``head`` names."""
+    """A table of text with a title.
+
+    Args:
+        title: The title.
+        head: Names of the columns.
+        rows: Cells of each row.
+    """
 
     title: str
     head: TableRow

@@ -21,7 +21,12 @@ LARGE_OUTSIDE_SHARE = 0.05
 
 
 class Table(NamedTuple):
-    """A table of text."""
+    """A table of text.
+
+    Args:
+        head: Names of the columns.
+        rows: Cells of each row.
+    """
 
     head: tuple[str, ...]
     rows: list[tuple[str, ...]]

@@ -90,7 +90,12 @@ def drawn_values(study: Study, indices: np.ndarray) -> Arrays:
 
 @dataclass(frozen=True, eq=False)
 class LaneFunction:
-    """The pure function of one draw, ``(values, index) -> results``; see :func:`lane`."""
+    """The pure function of one draw, ``(values, index) -> results``; see :func:`lane`.
+
+    Args:
+        study: The study.
+        compute: The program of a lane, without checks of its arguments.
+    """
 
     study: Study
     compute: Lane

@@ -52,7 +52,7 @@ class CellMap:
     """
 
     def __init__(self, table: DrawTable, source: ColumnDataSource, script: str) -> None:
-        """Count the failures at each point, and make the figure."""
+        """Count the failures at each point, and make the figure; the arguments are those of the class."""
         axes = table.result.study.axes
         self.names = list(axes)[:2]
         pooled_axes = list(axes)[2:]

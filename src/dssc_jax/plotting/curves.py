@@ -172,6 +172,12 @@ def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 
 
 def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """Draw the power law fitted to a curve, with its exponent in the legend."""
+    """Draw the power law fitted to a curve, with its exponent in the legend.
+
+    Args:
+        ax: Axes of the curve.
+        x: Places along the axis, positive, shape (n,).
+        y: Values of the curve, positive, shape (n,).
+    """
     slope, intercept = fitted_slope(x, y)
     ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")

@@ -61,7 +61,13 @@ def margin(margins: Analysis) -> Figure:
 
 
 def degradation_panel(ax: Axes, walk_values: xr.DataArray, summary: MarginSummary) -> None:
-    """Draw the failure probability along the walk, with its simultaneous band."""
+    """Draw the failure probability along the walk, with a band that holds for all values together.
+
+    Args:
+        ax: Axes to draw into.
+        walk_values: Values along the walk, for the label of the axis.
+        summary: Summary of the margin.
+    """
     curve = summary["degradation"]
     level = f"{100 * summary['confidence']:g} % band over all values together"
     ax.fill_between(curve["value"], curve["lower"], curve["upper"], color=RED, alpha=0.2, label=level)

@@ -219,7 +219,14 @@ def mark_events(ax: Axes, run: xr.Dataset, with_names: bool) -> None:
 
 
 def channel_panels(left: Axes, right: Axes, run: xr.Dataset, channel: str) -> None:
-    """Draw the commands of a channel into the left axes, and its error into the right axes."""
+    """Draw the commands of a channel into the left axes, and its error into the right axes.
+
+    Args:
+        left: Axes of the commands.
+        right: Axes of the error.
+        run: The trajectory.
+        channel: Name of the channel.
+    """
     line(left, run, f"{channel}_u_total", GREY, "total $u + u_n$", linewidth=1.2)
     line(left, run, f"{channel}_u", RED, "robust $u$", linewidth=1.2)
     line(right, run, f"{channel}_e", BLUE, "error")

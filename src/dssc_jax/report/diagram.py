@@ -75,7 +75,13 @@ class Drawing:
             self.signal((x1 + x2) // 2, y1 - 7, label)
 
     def signal(self, x: int, y: int, name: str) -> None:
-        """Add the name of a signal at (x, y)."""
+        """Add the name of a signal at a place in the drawing.
+
+        Args:
+            x: Horizontal position [px].
+            y: Vertical position [px].
+            name: The name.
+        """
         self.elements.append(h.text(".signal", x=x, y=y)[name])
 
     def junction(self, x: int, y: int) -> None:

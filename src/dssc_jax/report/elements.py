@@ -45,7 +45,13 @@ def with_unit(value: float, unit: str) -> str:
 
 
 def number_with_meaning(name: h.Node, meaning: str, unit: str) -> list[h.Node]:
-    """Show the name of a number, and below it its meaning and unit."""
+    """Show the name of a number, and below it its meaning and unit.
+
+    Args:
+        name: Name of the number.
+        meaning: Meaning in words.
+        unit: Unit.
+    """
     return [name, h.span(".meaning")[name_with_unit(meaning, unit)]]
 
 

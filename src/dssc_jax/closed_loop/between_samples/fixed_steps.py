@@ -52,7 +52,15 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, obser
     substep_for = fixed_substeps(parts, params, unmodelled)
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
-        """The states of plant and unmodelled dynamics after the sample that begins at t [s]."""
+        """The states of plant and unmodelled dynamics after the sample that begins at t [s].
+
+        Args:
+            drive_at: Returns the plant's input for a state, the commands that reach the plant, and a time.
+            plant: State of the plant at t.
+            states: States of the unmodelled dynamics at t.
+            commands: The command of each channel, held over the sample.
+            t: Time at which the sample begins [s].
+        """
         return repeat_substeps(substep_for(drive_at, commands, t), (plant, states), parts.substeps)
 
     return advance
@@ -79,7 +87,16 @@ def advance_with_software(
     steps_per_tick = parts.substeps // ticks
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
-        """The states of plant and unmodelled dynamics after the sample that begins at t [s]."""
+        """The states of plant and unmodelled dynamics after the sample that begins at t [s], with all ticks of the
+        software.
+
+        Args:
+            drive_at: Returns the plant's input for a state, the commands that reach the plant, and a time.
+            plant: State of the plant at t.
+            states: States of the unmodelled dynamics at t.
+            commands: The command of each channel, held over the sample.
+            t: Time at which the sample begins [s].
+        """
         substep = substep_for(drive_at, commands, t)
         outputs = []
         for model, p, state, command in zip(parts.unmodelled, unmodelled, states, commands, strict=True):
@@ -128,11 +145,23 @@ def fixed_substeps(parts: HeldParts, params: Params, unmodelled: States) -> Subs
     movers = make_movers(parts, unmodelled, h)
 
     def substep_for(drive_at: DriveAt, commands: Signals, t: Scalar) -> Substep:
-        """The function of one substep in the sample that begins at t [s]."""
+        """The function of one substep in one sample.
+
+        Args:
+            drive_at: Returns the plant's input for a state, the commands that reach the plant, and a time.
+            commands: The command of each channel, held over the sample.
+            t: Time at which the sample begins [s].
+        """
 
         @jax.jit  # traced once for all stages of the integrator
         def rate(plant: State, time: Scalar, actuation: Signals) -> State:
-            """The derivative of the plant's state, with the commands that reach the plant."""
+            """The derivative of the plant's state.
+
+            Args:
+                plant: State of the plant.
+                time: Time [s].
+                actuation: The command of each channel that reaches the plant.
+            """
             return parts.plant.derivative(params, plant, drive_at(plant, actuation, time), time)
 
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:

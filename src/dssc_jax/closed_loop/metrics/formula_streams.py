@@ -157,7 +157,13 @@ class Stream:
         return value
 
     def extreme_of_window(self, combine: Combination, value: Scalar, width: int) -> Scalar:
-        """The minimum or maximum, according to ``combine``, of a signal's last ``width`` values."""
+        """The minimum or maximum of a signal's last ``width`` values.
+
+        Args:
+            combine: Minimum or maximum of two numbers.
+            value: The present value.
+            width: Number of values.
+        """
         (extreme,) = self.window((value,), width, lambda older, newer: (combine(older[0], newer[0]),))
         return extreme
 

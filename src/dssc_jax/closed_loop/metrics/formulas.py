@@ -74,7 +74,12 @@ class Latch(NamedTuple):
 
 
 class LatchedFormula(NamedTuple):
-    """A formula whose robustness is needed at one instant only, with the index ``at`` of that sample."""
+    """A formula whose robustness is needed at one sample only.
+
+    Args:
+        formula: The formula.
+        at: Index of the sample.
+    """
 
     formula: Formula
     at: int

@@ -34,7 +34,7 @@ def integral(acc: Scalar, window: Window, span: Span) -> Scalar:
 
 
 def magnitude_of_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Absolute value of the mean over the window, from the sum of the samples."""
+    """Absolute value of the mean over the window, from the accumulated sum; the contract's ``window`` is not read."""
     return jnp.abs(acc) / span.sample_count
 
 
@@ -133,7 +133,10 @@ class CommandAndNoise(NamedTuple):
 
 
 def update_amplification(acc: CommandAndNoise, sample: Sample, window: Window) -> CommandAndNoise:
-    """Add the energies of a sample's command and of its measurement error of sigma."""
+    """Add the energies of a sample's command and of its measurement error of sigma.
+
+    ``window`` gives the chattering frequency, which splits the command.
+    """
     command = update_bands(acc.command, sample, window)
     return CommandAndNoise(command, acc.noise + jnp.square(sample.sigma_measured - sample.sigma))
 
@@ -165,7 +168,7 @@ def update_drift(acc: DriftSum, sample: Sample, window: Window) -> DriftSum:
     """Add g(sigma_k) (n_k - n_(k-1)), the move of the command by the change of the measurement error n of sigma.
 
     g = 1/(k_o tau_av) is the controller's gain at the measured sigma. The window's first sample has no previous one,
-    and adds nothing.
+    and adds nothing. The contract's ``window`` is not read.
     """
     noise = sample.sigma_measured - sample.sigma  # n_k
     step = (noise - acc.previous) * sample.info.integral_gain * sample.info.tau_m  # their product is g
@@ -173,7 +176,10 @@ def update_drift(acc: DriftSum, sample: Sample, window: Window) -> DriftSum:
 
 
 def drift_rate(acc: DriftSum, window: Window, span: Span) -> Scalar:
-    """Mean rate at which measurement noise drives the command: |sum of the moves| over the window's duration."""
+    """Mean rate at which measurement noise drives the command: |sum of the moves| over the window's duration.
+
+    The contract's ``window`` is not read: ``span`` has the duration.
+    """
     return jnp.abs(acc.total) / (span.sample_count * span.sample_time)
 
 
@@ -192,13 +198,19 @@ class CommandPath(NamedTuple):
 
 
 def update_path(acc: CommandPath, sample: Sample, window: Window) -> CommandPath:
-    """Add the size of the command's change since the previous sample; the window's first sample adds nothing."""
+    """Add the size of the command's change since the previous sample; the window's first sample adds nothing.
+
+    The contract's ``window`` is not read.
+    """
     step = jnp.where(acc.samples == 0.0, 0.0, jnp.abs(sample.u_total - acc.previous))
     return CommandPath(acc.samples + 1.0, sample.u_total, acc.length + step)
 
 
 def path_length(acc: CommandPath, window: Window, span: Span) -> Scalar:
-    """The total variation of the command u + u_n over the window, which the accumulator holds."""
+    """The total variation of the command u + u_n over the window.
+
+    The accumulator holds it; the contract's ``window`` and ``span`` are not read.
+    """
     return acc.length
 
 
@@ -215,7 +227,10 @@ class LogTrend(NamedTuple):
 
 
 def update_trend(acc: LogTrend, sample: Sample, window: Window) -> LogTrend:
-    """Add a sample's ln |sigma|; a sigma of 0 counts as the smallest normal number, to keep the logarithm finite."""
+    """Add a sample's ln |sigma|; a sigma of 0 counts as the smallest normal number, to keep the logarithm finite.
+
+    The contract's ``window`` is not read.
+    """
     level = jnp.log(jnp.maximum(jnp.abs(sample.sigma), jnp.finfo(jnp.result_type(float)).tiny))
     return LogTrend(acc.total + level, acc.moment + sample.k * level)
 
@@ -232,12 +247,12 @@ def growth_rate(acc: LogTrend, window: Window, span: Span) -> Scalar:
 
 
 def update_largest_thrust(acc: Scalar, instant: Instant, window: Window) -> Scalar:
-    """The largest thrust of any rotor up to this sample [N]."""
+    """The largest thrust of any rotor up to this sample [N]; the contract's ``window`` is not read."""
     return reduce(jnp.maximum, instant.plant.rotor, acc)
 
 
 def update_smallest_thrust(acc: Scalar, instant: Instant, window: Window) -> Scalar:
-    """The smallest thrust of any rotor up to this sample [N]."""
+    """The smallest thrust of any rotor up to this sample [N]; the contract's ``window`` is not read."""
     return reduce(jnp.minimum, instant.plant.rotor, acc)
 
 

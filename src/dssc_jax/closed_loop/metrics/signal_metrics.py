@@ -175,7 +175,13 @@ def channel_signals(
     signals: dict[str, SampledSignal] = {}
 
     def add(name: str, quantity: Quantity, value: SignalReader) -> None:
-        """Add a signal under a name, in the channel's own units and words in place of the symbols y and u."""
+        """Add a signal of the channel.
+
+        Args:
+            name: Name of the signal, without the channel's name.
+            quantity: Unit and meaning, with the symbols y and u, which the channel's own units and words replace.
+            value: Reads the signal.
+        """
         signals[name] = SampledSignal(units.of(quantity.unit), units.describe(quantity.meaning), value)
 
     add("y", Quantity("y", "output y"), output_reader(index))
@@ -224,7 +230,10 @@ def variation_update(signal: SignalReader, periodic: bool = False) -> Update:
 
 
 def total_variation(acc: Variation, window: Window, span: Span) -> Scalar:
-    """The sum of the sizes of all changes of a signal, which the accumulator holds."""
+    """The sum of the sizes of all changes of a signal.
+
+    The accumulator holds it; the contract's ``window`` and ``span`` are not read.
+    """
     return acc.sum
 
 

@@ -95,7 +95,10 @@ class Rise(NamedTuple):
 
 
 def update_rise(acc: Rise, sample: Sample, window: Window) -> Rise:
-    """Note the times at which the progress first passes 10 % and 90 %, interpolated between two samples."""
+    """Note the times at which the progress first passes 10 % and 90 %, interpolated between two samples.
+
+    The contract's ``window`` is not read.
+    """
     step = acc.step.next(sample)
     p = step.progress(sample)
     gain = p - acc.previous
@@ -115,7 +118,10 @@ def update_rise(acc: Rise, sample: Sample, window: Window) -> Rise:
 
 
 def rise_time(acc: Rise, window: Window, span: Span) -> Scalar:
-    """Time from 10 % to 90 % of the step [s]; infinite if the output does not reach 90 %."""
+    """Time from 10 % to 90 % of the step [s]; infinite if the output does not reach 90 %.
+
+    The contract's ``window`` is not read.
+    """
     time = (acc.high - acc.low) * span.sample_time
     return acc.step.result(jnp.where(acc.high < 0.0, jnp.inf, time))
 
@@ -133,13 +139,19 @@ class StepPeak(NamedTuple):
 
 
 def update_peak(acc: StepPeak, sample: Sample, window: Window) -> StepPeak:
-    """Keep the larger of the largest progress so far and the progress at this sample."""
+    """Keep the larger of the largest progress so far and the progress at this sample.
+
+    The contract's ``window`` is not read.
+    """
     step = acc.step.next(sample)
     return StepPeak(step, jnp.maximum(acc.largest, step.progress(sample)))
 
 
 def overshoot(acc: StepPeak, window: Window, span: Span) -> Scalar:
-    """Overshoot of the step response, relative to the step [%]: the excess of the largest progress over 1."""
+    """Overshoot of the step response [% of the step]: the excess of the largest progress over 1.
+
+    The accumulator holds this progress; the contract's ``window`` and ``span`` are not read.
+    """
     return acc.step.result(100.0 * jnp.maximum(acc.largest - 1.0, 0.0))
 
 
@@ -167,7 +179,10 @@ def update_settling(acc: StepSettling, sample: Sample, window: Window) -> StepSe
 
 
 def step_settling_time(acc: StepSettling, window: Window, span: Span) -> Scalar:
-    """Time from the window's start after which all samples lie in the band [s]; infinite if the last one does not."""
+    """Time from the window's start after which all samples lie in the band [s]; infinite if the last one does not.
+
+    The contract's ``window`` is not read.
+    """
     time = acc.last_sample * span.sample_time
     return acc.step.result(jnp.where(acc.last_sample >= span.sample_count, jnp.inf, time))
 
@@ -223,13 +238,19 @@ def phase_components(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
 
 
 def following_gain(acc: Following, window: Window, span: Span) -> Scalar:
-    """Amplitude of the output over the amplitude of a sine reference, by :func:`phase_components`."""
+    """Amplitude of the output over the amplitude of a sine reference, from the two parts of :func:`phase_components`.
+
+    The contract's ``window`` is not read.
+    """
     in_phase_gain, quadrature_gain = phase_components(acc, span)
     return root_abs(in_phase_gain * in_phase_gain + quadrature_gain * quadrature_gain)
 
 
 def following_lag(acc: Following, window: Window, span: Span) -> Scalar:
-    """Phase by which the output lags a sine reference, in (-pi, pi] [rad]."""
+    """Phase by which the output lags a sine reference, in (-pi, pi] [rad].
+
+    The contract's ``window`` is not read.
+    """
     in_phase_gain, quadrature_gain = phase_components(acc, span)
     return atan2(-quadrature_gain, in_phase_gain)
 
@@ -293,7 +314,7 @@ def envelope_metric(
     """
 
     def update(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-        """The smallest distance up to this sample."""
+        """The smallest distance up to this sample; a bound without points is infinitely far."""
         t = sample.k * sample.dt
         value = signal(sample)
         above_lower = value - line_at(lower, t, -math.inf) if lower else math.inf

@@ -134,12 +134,12 @@ def final_value(acc: Scalar, window: Window, span: Span) -> Scalar:
 
 
 def mean(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """The mean over the window's samples, from their accumulated sum."""
+    """The mean over the window's samples, from their accumulated sum; the contract's ``window`` is not read."""
     return acc / span.sample_count
 
 
 def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """The rms over the window's samples, from their accumulated sum of squares."""
+    """The rms over the window's samples, from their accumulated sum of squares; ``window`` is not read."""
     return root_abs(acc / span.sample_count)
 
 

@@ -36,5 +36,5 @@ def stretch_update(flag: Callable[[S], Scalar]) -> Callable[[Stretch, S, Window]
 
 
 def longest_duration(acc: Stretch, window: Window, span: Span) -> Scalar:
-    """Duration of the longest stretch [s]."""
+    """Duration of the longest stretch [s]; the contract's ``window`` is not read."""
     return acc.longest * span.sample_time

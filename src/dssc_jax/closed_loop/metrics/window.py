@@ -46,9 +46,12 @@ def entry_field(default: float, entry: WindowEntry) -> Any:
 class Window:
     """The samples that a metric counts, and the thresholds of metrics.
 
-    The samples at ``after`` <= t <= ``until`` [s] count. The error counts as settled within ``band`` in the output's
-    unit, or within ``percent`` [%] of a step. The command chatters above the frequency ``chattering`` [Hz]; 0 stands
-    for 1/(20 T_s).
+    Args:
+        after: Start of the window [s]; samples at t >= ``after`` count.
+        band: The error counts as settled if |e| is at most this, in the output's unit.
+        percent: A step response counts as settled within this share of the step [%].
+        until: End of the window [s]; samples at t <= ``until`` count.
+        chattering: The command chatters above this frequency [Hz]; 0 stands for 1/(20 T_s).
     """
 
     after: float = entry_field(
@@ -236,7 +239,10 @@ def span_of(window: Window, steps: Scalar, sample_time: float) -> Span:
 def in_window(window: Window, k: Scalar, sample_time: float) -> Scalar | None:
     """Whether sample k lies in the window; None if all samples do, so that the compiled program needs no test.
 
-    The number of samples of the run does not matter: k never exceeds it.
+    Args:
+        window: The window.
+        k: Index of the sample, which is within the run.
+        sample_time: Sample time T_s [s].
     """
     start = first_sample(window.after, sample_time)
     if math.isinf(window.until):

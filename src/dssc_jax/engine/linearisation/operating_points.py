@@ -82,12 +82,19 @@ class Linearisation:
     """
 
     def __init__(self, study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> None:
-        """Prepare the program; it is compiled when it first runs."""
+        """Prepare the program; it is compiled when it first runs. The arguments are those of the class."""
         self.places = places
         self.points = len(place_names(study.loop.channels))  # number of break points
 
         def derivative(numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array, ...]:
-            """The next state of a draw, and the derivatives of state and signals along one direction."""
+            """The next state of a draw, and the derivatives of state and signals along one direction.
+
+            Args:
+                numbers: Numbers of the draw by name.
+                vectors: The ``state``, the ``direction`` (its index), the index of the ``sample``, and the
+                    ``findings``.
+                index: Index of the draw.
+            """
             state = vectors["state"]
             order = len(state)
             direction = jnp.where(jnp.arange(order + self.points) == vectors["direction"], 1.0, 0.0)

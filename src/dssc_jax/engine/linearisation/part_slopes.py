@@ -115,14 +115,20 @@ def push_examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
     """
 
     def lane_maps(numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[Loop, LoopParams, list[PartMap]]:
-        """The loop of a draw with its parameters, and its parts as functions at the operating point."""
+        """The loop of a draw with its parameters, and its parts as functions at the operating point.
+
+        Args:
+            numbers: Numbers of the draw by name.
+            vectors: The ``state`` at the operating point, and the index of the ``sample``.
+            index: Index of the draw.
+        """
         loop, params, key = lane(numbers, index)
         _, state_from_vector = ravel_pytree(initial_state(loop, params, key))
         k = vectors["sample"][0].astype(jnp.int32)
         return loop, params, part_maps(loop, params, key, state_from_vector(vectors["state"]), k, places)
 
     def inputs(numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array, ...]:
-        """State of the first part, its inputs, state of the second part, ... at the operating point of a draw."""
+        """State and inputs of the first part, then of the second part, and so on, at the operating point of a draw."""
         _, _, maps = lane_maps(numbers, vectors, index)
         results = []
         for part_map in maps:

@@ -112,7 +112,10 @@ class Finding(IntEnum):
 class SelectedParams(NamedTuple):
     """Parameters of a part and of its substitute, and whether the substitute replaces the part.
 
-    All numbers may be traced, so that one compiled program serves both cases.
+    Args:
+        part: Parameters of the part.
+        substitute: Parameters of the substitute.
+        is_substituted: Whether the substitute replaces the part; may be traced, so that one program serves both cases.
     """
 
     part: Params
@@ -253,7 +256,13 @@ def with_part(
 
 
 def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> tuple[Loop, LoopParams]:
-    """The loop and its parameters, with substitutes for all parts that are smooth nowhere."""
+    """The loop and its parameters, with substitutes for all parts that are smooth nowhere.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        places: The parts of the loop.
+    """
     for place in places:
         if place.is_replaced:
             _, part_params = part_of(loop, params, place)
