@@ -12,7 +12,7 @@ STATE = "x"
 
 
 def has_measured_angle(loop: Loop, i: int) -> bool:
-    """Whether the output y of channel i is an angle that the study also declares as a measured signal."""
+    """Whether the output y of channel i is an angle, and the study also declares this output as a measured signal."""
     output = signal_name(loop.channels[i], "y")
     return is_angle(loop, i) and output in [signal.name for signal in loop.measures]
 

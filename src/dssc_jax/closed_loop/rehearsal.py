@@ -255,7 +255,7 @@ def check_reading(model: Sensor, params: Params, measurement: Measurement, place
 
 
 def place_of(slot: str, channel: str) -> str:
-    """Path of a channel's part in the study, such as ``controller.x``; the slot alone where channels have no names."""
+    """Path of a channel's part in the study, such as ``controller.x``; for a channel without a name, the slot alone."""
     return f"{slot}.{channel}" if channel else slot
 
 

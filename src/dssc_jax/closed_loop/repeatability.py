@@ -73,7 +73,10 @@ def inner_programs(equation: JaxprEqn) -> Iterator[ClosedJaxpr]:
 
 
 def same_values(first: list[Any], second: list[Any]) -> bool:
-    """Whether two lists of constants are equal to the bit; traced values, which have no bits yet, count as equal."""
+    """Whether two lists of constants are equal bit by bit.
+
+    Traced values have no bits yet, and count as equal.
+    """
     return [bits_of(value) for value in first] == [bits_of(value) for value in second]
 
 

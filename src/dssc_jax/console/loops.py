@@ -209,7 +209,12 @@ def no_margins_text(statistics: LoopStatistics, draws: int, least_draws: int, le
 
 
 def margin_text(value: float, format_value: Callable[[float], str]) -> str:
-    """Format a margin by ``format_value``; an infinite margin, or NaN for a loop without margins, becomes a dash."""
+    """Format a margin; a dash stands for an infinite margin, and for NaN, a loop without margins.
+
+    Args:
+        value: The margin.
+        format_value: Formats a finite margin.
+    """
     return format_value(value) if math.isfinite(value) else "-"
 
 

@@ -306,7 +306,7 @@ def metrics_and_slacks(
 def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, Scalar]) -> dict[Any, Scalar]:
     """Join results and derivatives in one pytree.
 
-    It is an OrderedDict: JAX would sort the keys of a dict, but strings and derivatives cannot be ordered.
+    The pytree is an OrderedDict: JAX would sort the keys of a dict, but strings and derivatives cannot be ordered.
     """
     return OrderedDict([*results.items(), *slopes.items()])
 

@@ -78,7 +78,10 @@ class PlainBatch:
         shape = (self._tiles, self._tile)
 
         def as_tiles(column: np.ndarray, dtype: Any) -> np.ndarray:
-            """A number of each lane, shape (tiles, lanes of a tile); copies of the last lane fill the last tiles."""
+            """One number of all lanes, arranged in tiles, shape (tiles, lanes of a tile).
+
+            Copies of the last lane fill the last tiles.
+            """
             padding = self._tiles * self._tile - count
             return np.pad(column, (0, padding), mode="edge").astype(dtype).reshape(shape)
 

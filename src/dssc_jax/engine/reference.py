@@ -94,7 +94,15 @@ def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndar
 
 
 def recompute(study: Study, lanes: Lanes) -> Arrays:
-    """Compute every variable of a result at n lanes again by the plain program; by name, shape (n,) each."""
+    """Compute every variable of a result at n lanes again by the plain program.
+
+    Args:
+        study: The study.
+        lanes: Indices of the lanes along each axis of the sweep and along the draws, shape (n,) each.
+
+    Returns:
+        The variables by name, shape (n,) each.
+    """
     *_, draws = lanes
     values = lane_numbers(study, lanes)
     drawn = {name: values[name] for name in study.laws}

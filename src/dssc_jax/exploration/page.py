@@ -137,7 +137,14 @@ class Page(ABC):
 
 
 def run_or_submit(task: Work, worker: Worker | None) -> None:
-    """Submit a task to a worker; without a worker, run the task at once, with no newer task to make it stale."""
+    """Run a task in a worker's thread; without a worker, run it at once.
+
+    A task that runs at once never becomes stale.
+
+    Args:
+        task: The task.
+        worker: The worker; None: there is none.
+    """
     if worker is None:
         task(never_stale)
     else:

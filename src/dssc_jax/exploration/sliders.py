@@ -248,7 +248,14 @@ def sample_time_slider(study: Study) -> Slider:
 
 
 def sliders_of_law(number: Number, law: Law) -> list[Slider]:
-    """Return the sliders of median and width of a law; none for a law that cannot be moved, such as a choice."""
+    """Return the sliders of median and width of a law.
+
+    There are none if the law cannot be moved, such as a choice, or if its median has no room to move.
+
+    Args:
+        number: The number with the law.
+        law: The law.
+    """
     if not law.movable:
         return []
     scale = scale_around(law.median, number.quantity)._replace(log=law.logarithmic)

@@ -25,7 +25,7 @@ def certified_region(result: Result) -> xr.DataArray | None:
 
 
 def study_value(result: Result, name: str) -> float | None:
-    """The study's own value of a swept number; None if the number has a law."""
+    """The study's own value of a swept number; None if the number has a law instead of a value."""
     value = result.study.leaves().get(name)
     return value if isinstance(value, float) else None
 

@@ -46,7 +46,7 @@ def theory(
 
 
 def margins_panel(ax: Axes, margins: Mapping[str, Analysis]) -> None:
-    """Draw the distribution functions of the critical values by each criterion, and the result of Theorem 1."""
+    """Draw the distribution functions of the critical values, one for each criterion, and the result of Theorem 1."""
     summaries = {name: summary_of(analysis) for name, analysis in margins.items()}
     for colour, (name, analysis) in zip(cycle(THEORY_COLOURS), margins.items(), strict=False):
         draw_distribution(ax, analysis.dataset, summaries[name], name, colour)

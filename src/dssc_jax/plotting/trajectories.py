@@ -335,7 +335,10 @@ def rotors(ax: Axes, run: xr.Dataset) -> None:
 
 
 def wind(ax: Axes, run: xr.Dataset) -> None:
-    """Draw the wind, and mark its onset if it does not blow from the start."""
+    """Draw the components of the wind, without those that are always 0.
+
+    If the wind does not blow from the start, a line marks its onset.
+    """
     for name, colour in zip(WIND, SIGNAL_COLOURS[: len(WIND)], strict=True):
         if largest_magnitude(run, name) > 0.0:
             line(ax, run, name, colour, name.removeprefix("wind_"))

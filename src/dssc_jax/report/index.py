@@ -194,7 +194,7 @@ def trouble_table(root: Path, rows: list[IndexRow]) -> h.Element:
 
 
 def report_link(root: Path, row: IndexRow) -> h.Element:
-    """Make the study's name as a link to the report, relative to the index."""
+    """Make the study's name as a link to the report of a row; the address is relative to the index."""
     return h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study]
 
 

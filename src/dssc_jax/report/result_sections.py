@@ -136,7 +136,10 @@ def violation_rows(subject: Subject) -> list[tuple[h.Node, ...]]:
 
 
 def joint_violations(point: SummaryRow, study: Study) -> list[h.Node]:
-    """Table of the pairs of requirements that the same draws violate, or a remark that no draw violates two."""
+    """Table of the pairs of requirements that the same draws violate.
+
+    If no draw violates two requirements, a remark says so. With a single requirement, there is nothing.
+    """
     if len(point["requirements"]) < 2:
         return []
     pairs = [pair for pair in point["overlaps"] if pair["draws"]]

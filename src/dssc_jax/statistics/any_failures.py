@@ -46,14 +46,24 @@ class AnyFailures:
         return not np.any(off_diagonal[free])
 
     def largest_shift(self, free: np.ndarray, limit: float) -> float:
-        """Largest shift [standard deviations] under which the failure probability cannot exceed the limit."""
+        """Largest shift [standard deviations] under which the failure probability cannot exceed the limit.
+
+        Args:
+            free: Whether the law of each number may change, shape (laws,).
+            limit: Largest failure probability allowed, in (0, 1).
+        """
         _, high = self.interval
         return largest_distance(high, limit) / self.unit_shift_length(free)
 
     def largest_widening(self, free: np.ndarray, limit: float) -> float | None:
         """Largest relative width at which the failure probability cannot exceed the limit.
 
-        A widening of correlated laws has no such bound, so the result is then None.
+        Args:
+            free: Whether the law of each number may change, shape (laws,).
+            limit: Largest failure probability allowed, in (0, 1).
+
+        Returns:
+            The width; None if a changed law is correlated with another one, because there is no such bound then.
         """
         if not self.is_uncorrelated(free):
             return None
@@ -61,7 +71,12 @@ class AnyFailures:
         return largest_width(high, limit, int(free.sum()))
 
     def interval_after_shift(self, free: np.ndarray, shift: float) -> tuple[float, float]:
-        """Interval of the failure probability after any shift of at most this size [standard deviations]."""
+        """Interval of the failure probability after any shift up to a size.
+
+        Args:
+            free: Whether the law of each number may change, shape (laws,).
+            shift: Largest shift of a mean [standard deviations].
+        """
         distance = shift * self.unit_shift_length(free)
         low, high = self.interval
         return worst_when_moved(low, -distance), worst_when_moved(high, distance)
@@ -69,7 +84,12 @@ class AnyFailures:
     def interval_after_widening(self, free: np.ndarray, width: float) -> tuple[float, float] | None:
         """Interval of the failure probability after any widening up to a relative width.
 
-        A widening of correlated laws has no such bound, so the result is then None.
+        Args:
+            free: Whether the law of each number may change, shape (laws,).
+            width: Largest relative width, >= 1.
+
+        Returns:
+            The interval; None if a changed law is correlated with another one, because there is no such bound then.
         """
         if not self.is_uncorrelated(free):
             return None

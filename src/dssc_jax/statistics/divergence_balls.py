@@ -40,7 +40,12 @@ class DivergenceBall(ABC):
 
     @abstractmethod
     def divergence(self, q: float, p: float) -> float:
-        """Least divergence D(Ber(q), Ber(p)) from a law with failure probability p to a law with q."""
+        """Least divergence D(Ber(q), Ber(p)) of a law with failure probability q from a law with failure probability p.
+
+        Args:
+            q: Failure probability of the true law, in [0, 1].
+            p: Failure probability of the assumed law, in [0, 1].
+        """
 
     @abstractmethod
     def worst(self, p: float, radius: float) -> float:
@@ -126,7 +131,7 @@ class KullbackLeibler(DivergenceBall):
         return float(special.rel_entr(q, p) + special.rel_entr(1.0 - q, 1.0 - p))
 
     def worst(self, p: float, radius: float) -> float:
-        """Largest failure probability q within the radius, where the divergence equals the radius; by bisection."""
+        """Largest failure probability q within the radius, by bisection: the divergence of q equals the radius."""
         require_ball(p, radius)
         if p in (0.0, 1.0) or radius == 0.0:
             return p

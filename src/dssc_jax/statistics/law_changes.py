@@ -156,7 +156,7 @@ class Widening(Change):
         return 0.0, size
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Logarithm of each draw's importance weight, shape (n,), from the scores c and y = D^-1 c; see the class."""
+        """Logarithm of each draw's importance weight, shape (n,), by the formula of the class."""
         shrunk = scores * np.exp(-amounts)  # y
         return -amounts.sum() - 0.5 * (self._squares(shrunk) - self._squares(scores))
 
@@ -184,7 +184,10 @@ class Widening(Change):
         return float(-2.0 * amounts.sum() - 0.5 * log_determinant_ratio)
 
     def log_second_moment_bound(self, size: float, free: np.ndarray) -> float:
-        """Logarithm of the mean squared weight at the largest widening of all free numbers, which no other exceeds."""
+        """Logarithm of the mean squared weight at the largest widening of all free numbers.
+
+        No other widening of at most this size has a larger mean squared weight.
+        """
         return self.log_second_moment(size * free)
 
     def apply(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:

@@ -54,7 +54,12 @@ def first_integer(condition: Callable[[int], bool], start: int = 1) -> int:
 
 
 def sorted_draws(values: np.ndarray, missing: float = np.inf) -> np.ndarray:
-    """Values in ascending order along the last axis, the draws; ``missing`` replaces NaN."""
+    """Values in ascending order along the last axis, the axis of the draws.
+
+    Args:
+        values: The values, shape (..., n).
+        missing: Value that replaces NaN.
+    """
     return np.sort(np.where(np.isnan(values), missing, values))
 
 

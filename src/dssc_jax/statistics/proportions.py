@@ -97,7 +97,7 @@ class FixedCount(NamedTuple):
         return clopper_pearson(np.count_nonzero(happened, axis=-1), happened.shape[-1], confidence)
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Compute the interval of the failure probability, as of any event."""
+        """Compute the interval of the failure probability; a failure is an event like any other."""
         return self.interval(failed, confidence)
 
 
@@ -192,7 +192,7 @@ class Replicated(NamedTuple):
         return np.stack([np.maximum(low - widening, 0.0), np.minimum(high + widening, 1.0)], axis=-1)
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Compute the interval of the failure probability, as of any event."""
+        """Compute the interval of the failure probability; a failure is an event like any other."""
         return self.interval(failed, confidence)
 
 

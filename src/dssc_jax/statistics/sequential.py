@@ -21,7 +21,12 @@ SPARSE_RATIO = 1.5  # the same for Wald's test, which is valid for any times of 
 
 
 def look_draws(limit: int, ratio: float) -> list[int]:
-    """Numbers of draws at the looks: a geometric sequence from :data:`FIRST` that ends with ``limit``."""
+    """Numbers of draws at the looks: a geometric sequence from :data:`FIRST` that ends with ``limit``.
+
+    Args:
+        limit: Largest number of draws.
+        ratio: Ratio of two successive numbers, above 1.
+    """
     numbers = []
     draws = FIRST
     while draws < limit:

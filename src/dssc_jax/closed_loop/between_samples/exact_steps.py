@@ -81,7 +81,12 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
         """
 
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
-            """Both states after the substep with this index."""
+            """The states of plant and unmodelled dynamics after the substep with this index.
+
+            Args:
+                index: Index of the substep in the sample.
+                carry: Both states before the substep.
+            """
             plant, states = carry
             states, lines = apply_movers(movers, states, commands)
 

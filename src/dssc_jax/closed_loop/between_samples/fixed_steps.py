@@ -165,7 +165,12 @@ def fixed_substeps(parts: HeldParts, params: Params, unmodelled: States) -> Subs
             return parts.plant.derivative(params, plant, drive_at(plant, actuation, time), time)
 
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
-            """Both states after the substep with this index."""
+            """The states of plant and unmodelled dynamics after the substep with this index.
+
+            Args:
+                index: Index of the substep in the sample.
+                carry: Both states before the substep.
+            """
             plant, states = carry
             states, input_lines = apply_movers(movers, states, commands)
             next_states = list(states)

@@ -100,7 +100,12 @@ def make_mover(model: Unmodelled, params: Params, h: float) -> Mover:
         return model.advance(params, h)
 
     def move(state: State, command: Scalar) -> tuple[State, Moments]:
-        """The state after the step, and mean and rise of the output over the step."""
+        """The state after the step, and mean and rise over the step of the signal that leaves the nonlinear part.
+
+        Args:
+            state: State of the dynamics before the step.
+            command: The command, held over the step.
+        """
         if model.linear is not None:  # the held command enters the linear part
             return state, Moments(command, rise=0.0)
         next_state = model.step(params, state, command, h)

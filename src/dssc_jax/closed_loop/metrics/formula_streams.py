@@ -178,7 +178,11 @@ class Stream:
         before, goal = self.aligned((formula.before, formula.goal))
 
         def combine(older: Aggregate, newer: Aggregate) -> Aggregate:
-            """The pair of a window: the goal comes in the older part, or in the newer one after ``before`` has held."""
+            """The pair of a joint window, from the pairs of its older and its newer part.
+
+            The goal comes in the older part, or it comes in the newer part and ``before`` has held in all of the older
+            one.
+            """
             older_until, older_before = older
             newer_until, newer_before = newer
             return maximum(older_until, minimum(older_before, newer_until)), minimum(older_before, newer_before)

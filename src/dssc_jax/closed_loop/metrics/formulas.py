@@ -282,7 +282,12 @@ def with_slope_of(value: Scalar, substitute: Scalar) -> Scalar:
 
 @with_slope_of.defjvp
 def slope_of_substitute(at: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-    """The JVP of :func:`with_slope_of`: the value, and the tangent of the substitute."""
+    """The JVP of :func:`with_slope_of`: the value itself, with the tangent of the substitute.
+
+    Args:
+        at: The value, and the substitute.
+        tangents: Tangents of both; that of the value is not read.
+    """
     value, _ = at
     _, substitute_tangent = tangents
     return value, substitute_tangent

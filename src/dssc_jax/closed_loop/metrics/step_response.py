@@ -326,7 +326,14 @@ def envelope_metric(
 
 
 def crossing(lower: Points, upper: Points) -> float | None:
-    """The first time among the points at which a lower bound exceeds the upper bound [s]; None if it never does."""
+    """The first time among the points at which a lower bound exceeds the upper bound [s]; None if there is none.
+
+    Both bounds are linear between their points, so a crossing shows at one of the points.
+
+    Args:
+        lower: Points of the lower bound.
+        upper: Points of the upper bound.
+    """
     times = {t for t, _ in (*lower, *upper)}
     with arithmetic():
         for t in sorted(times):

@@ -157,7 +157,7 @@ def controller_map(at: OperatingPoint, i: int) -> PartMap:
 
 
 def unmodelled_map(at: OperatingPoint, i: int) -> PartMap:
-    """The unmodelled dynamics of channel i: from the command to the outputs at both ends of the sample."""
+    """The unmodelled dynamics of channel i: from the command to the outputs at start and end of the sample."""
 
     def apply(part: Unmodelled, params: Params, memory: State, signals: Scalar) -> tuple[State, Scalar, Scalar]:
         """The state after the sample, and the outputs at its start and end."""

@@ -317,9 +317,14 @@ def selected_params(params: Params, substitute: Params, is_substituted: Scalar) 
 
 
 def choice(part: Part, substitute: Part) -> Part:
-    """A part that runs as the part or as its substitute, as its :class:`SelectedParams` tell.
+    """A part that runs either as the part or as its substitute.
 
-    Both have the same functions. Which one runs may be a traced value, so both are computed.
+    The parameters of the result, :class:`SelectedParams`, tell which of them runs. This may be a traced value, so both
+    are computed.
+
+    Args:
+        part: The part.
+        substitute: The substitute, with the same functions.
     """
 
     def selecting(name: str) -> Callable[..., object]:
