@@ -1,4 +1,4 @@
-"""The states of plant and controllers before the first sample; native code with a state outside of JAX starts here."""
+"""The states of plant and controllers before the first sample, where native code with a state outside of JAX starts."""
 
 import jax
 import jax.numpy as jnp

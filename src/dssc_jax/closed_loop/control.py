@@ -2,9 +2,9 @@
 
 An angle passes from the plant to the controller in four forms:
 
-1. The sensor sees it continuous in time: shifted by whole turns to within pi of its last value.
-2. The sensor's reading reaches the flight computer by its principal value in (-pi, pi], as autopilots give it.
-3. The flight computer makes it continuous again before the differentiator.
+1. The sensor sees the angle continuous in time: shifted by whole turns to within pi of its last value.
+2. The flight computer receives the principal value of the sensor's reading, in (-pi, pi], as autopilots give it.
+3. The flight computer makes the reading continuous again before the differentiator.
 4. The controller's reference is shifted by whole turns to within pi of the measurement, so that the error is wrapped.
 
 Steps 3 and 4 are part of :func:`control`, hence of the generated C. Metrics count the wrapped error.

@@ -1,7 +1,7 @@
 """Comparison of two traces of one function: their programs differ if the function is not pure.
 
-JAX traces a function to a program, a list of equations. A function that reads a clock, a counter or random numbers of
-its own leaves other constants in the program each time.
+JAX traces a function to a program, a list of equations. If the function reads a clock, counts its calls or draws random
+numbers without JAX, the constants in the program differ from trace to trace.
 """
 
 import re

@@ -1,6 +1,6 @@
 """Lanes as machine code.
 
-The user's cache remembers the signatures of compiled lanes, so that a lane which it knows is not even traced.
+The user's cache stores the signatures of compiled lanes, so that a lane in the cache is not even traced.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -1,6 +1,6 @@
 """Batches of lanes by plain XLA: ``vmap`` over the lanes of a tile, tiles in sequence, and tiles over devices.
 
-This is the reference program, and the form for programs without machine code.
+The plain program is the reference, and the form for programs without machine code.
 """
 
 import math

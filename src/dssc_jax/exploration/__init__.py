@@ -1,6 +1,6 @@
 """Pages to explore a study or a result: served to the browser, or as an object in a notebook.
 
-They need the extra ``explore`` (Panel and Bokeh), which no other layer imports.
+The pages need the extra ``explore`` (Panel and Bokeh), which no other layer imports.
 """
 
 from collections.abc import Sequence

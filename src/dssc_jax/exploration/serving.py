@@ -1,7 +1,7 @@
 """Serve a page to the browser of this machine: at 127.0.0.1 only, under a path that nobody can guess.
 
-The server of Panel has more addresses than the page needs; one of them imports any Python module that a request names.
-Therefore a gate in front of it admits the requests of the page, and answers all others with "not found".
+Panel's server has more addresses than the page needs. One of them imports any Python module that a request names.
+Therefore a gate before the server admits the requests of the page, and answers all others with "not found".
 """
 
 import html

@@ -1,4 +1,4 @@
-"""Widgets for an error of the laws, and the texts with the failure probability that follows from it."""
+"""Widgets for an error of the laws, and texts with the failure probability under such an error."""
 
 import math
 from collections.abc import Callable

@@ -1,7 +1,7 @@
 """Kinds of correlated noise, with the prior laws of their parameters.
 
-The parameters of a noise follow from standard normal scores, a score for each, so that its prior law is standard normal
-in these coordinates.
+Each parameter of a noise follows from a standard normal score of its own. In these scores the prior law is standard
+normal.
 """
 
 import math

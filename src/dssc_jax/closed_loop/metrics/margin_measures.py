@@ -1,7 +1,7 @@
 """Margins of the linearised loop as metrics of a draw.
 
-A margin belongs to a loop, not to a flight. It is computed before the flight, its accumulator starts at the value, and
-no sample changes it.
+A margin belongs to a loop, and not to a flight. The margin is computed before the flight. Its accumulator starts at the
+value, and no sample changes the value.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Metrics of any signal by its name, which is that of its column in a trajectory."""
+"""Metrics of any signal by the signal's name, which is the name of its column in a trajectory."""
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence

@@ -1,7 +1,7 @@
 """The margins of the linearised loop that a study requires, for every lane.
 
-Every lane is linearised at its equilibrium, and has a frequency grid of its own. So its margins depend only on its
-numbers, neither on its block nor on the number of draws.
+Every lane is linearised at its own equilibrium, with its own frequency grid. So the margins of a lane depend only on
+the lane's numbers, and neither on its block nor on the number of draws.
 """
 
 from dataclasses import dataclass, field

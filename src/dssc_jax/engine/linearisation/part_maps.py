@@ -1,6 +1,6 @@
 """Each part of a loop at one operating point, as a function of its state and inputs.
 
-So the derivative of a part can be compared with the effects of small pushes on its state and inputs.
+The function allows a comparison of the part's derivative with the effects of small pushes on state and inputs.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,7 +1,7 @@
 """Roots and peaks of functions of an angle, for many loops at once.
 
-A function takes angles of shape (n, m), m for each of n loops, and returns its values in that shape. It is known on a
-grid of angles; all loops are refined together, each by the same number of steps.
+A function takes angles of shape (n, m), which are m angles for each of n loops, and returns values of the same shape.
+Its values on a grid of angles are given. All loops are refined together, each by the same number of steps.
 """
 
 from collections.abc import Callable
