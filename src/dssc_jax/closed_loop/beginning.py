@@ -11,7 +11,7 @@ from dssc_jax.models.wind import NO_WIND
 
 
 def first_wind(loop: Loop, params: LoopParams) -> Vec3 | None:
-    """The mean wind at t = 0 [m/s]; None if the study has no wind."""
+    """The mean wind at t = 0 [m/s], in which a plant that can settle starts; None if the study has no wind."""
     return None if loop.wind is NO_WIND else loop.wind.at_start(params.wind, loop.sample_time)
 
 

@@ -88,6 +88,10 @@ def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
     """The loop and its parameters at a constant reference, without disturbances, wind and sensor noise.
 
     Such a loop can rest at an equilibrium, and is linearised there.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
     """
     desired = constant_reference(loop, params)
     undisturbed_loop = replace(
@@ -113,6 +117,10 @@ def constant_reference(loop: Loop, params: LoopParams) -> ReferencePoint | Refer
 
     A loop of several channels keeps the outputs that its plant has at t = 0, where a vehicle hovers. A loop of one
     channel has the constant level of the study's reference (``Reference.level``), or 0 if the reference has none.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
     """
     if len(loop.channels) > 1:
         origin = (ReferencePoint(0.0, 0.0, 0.0),) * len(loop.channels)

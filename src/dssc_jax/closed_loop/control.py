@@ -83,7 +83,7 @@ def measure(
 
 
 def is_angle(loop: Loop, i: int) -> bool:
-    """Whether the output of channel i is an angle."""
+    """Whether the output of channel i is an angle, which may have any number of turns."""
     return loop.channels[i] in loop.plant.angles
 
 

@@ -17,6 +17,11 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     """The loop's state before the first sample.
 
     The command before t = 0 is 0, and the unmodelled dynamics are at rest under this command.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        key: The draw's random key.
     """
     true_plant = begin_plant(loop, params, key)
     references = loop.mimo_reference.at(params.reference, 0.0)
@@ -56,7 +61,13 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
 
 
 def initial_disturbances(loop: Loop, params: LoopParams, key: jax.Array) -> tuple[tuple[State, ...], tuple[State, ...]]:
-    """States at t = 0 of the disturbances of each channel, and of those at each named input of the plant."""
+    """States at t = 0 of the disturbances of each channel, and of the disturbances at each named input of the plant.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        key: The draw's random key.
+    """
     disturbances = []
     for model, p, name in zip(loop.disturbance, params.disturbance, loop.channels, strict=True):
         disturbances.append(model.init(p, loop.key_at(key, "disturbance", name, 0)))

@@ -385,7 +385,7 @@ class StudyPage(Page):
 def margin_sliders(sliders: Sequence[Slider]) -> dict[str, Slider]:
     """Return the slider of each number whose margin can be asked for, by the number's name in alphabetical order.
 
-    A margin can be asked for a number, or for the median of a law, but not for other arguments of a law.
+    A margin can be asked for a plain number and for the median of a law, but not for other properties of a law.
     """
     by_name: dict[str, Slider] = {}
     for slider in sliders:

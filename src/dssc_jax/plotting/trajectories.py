@@ -344,7 +344,7 @@ def wind(ax: Axes, run: xr.Dataset) -> None:
             line(ax, run, name, colour, name.removeprefix("wind_"))
     speeds = np.abs([run[name].values for name in WIND])
     windy_samples = np.flatnonzero((speeds > 0.0).any(axis=0))
-    if windy_samples[0] > 1:
+    if windy_samples[0] > 1:  # the first two samples count as the start
         onset = float(run["t"].values[windy_samples[0]])
         ax.axvline(onset, color=GREY, linestyle=":", label=f"onset at {onset:.3g} s")
     ax.set_ylabel("wind [m/s]")

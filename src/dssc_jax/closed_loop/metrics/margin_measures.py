@@ -13,7 +13,7 @@ from dssc_jax.core.signals import Scalar
 
 
 def keep_value(acc: Accumulator, sample: MetricInput, window: Window) -> Accumulator:
-    """The margin itself, which is computed before the flight: no sample changes it, and ``sample`` is not read."""
+    """The margin itself, which is computed before the flight: no sample changes it, so only ``acc`` is read."""
     return acc
 
 
