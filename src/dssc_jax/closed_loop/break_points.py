@@ -26,8 +26,8 @@ from dssc_jax.models.wind import NO_WIND
 class BreakPoint(StrEnum):
     """A place at which a channel's loop is broken: its command, its measurement of y, or its measurement of y'.
 
-    A break at ``output`` opens the path of y alone, and a break at ``rate`` the path of y' alone. To open both paths at
-    once is the same as a break at ``input``, because they meet in the channel's one command.
+    A break at ``output`` opens the path of y alone, and a break at ``rate`` opens the path of y' alone. Breaking both
+    at once is the same as breaking at ``input``, because both paths lead to the channel's one command.
     """
 
     INPUT = "input"  # the command
@@ -53,7 +53,7 @@ class BreakPointSensorParams(NamedTuple):
 
     Args:
         params: Parameters of the sensor without the addition.
-        addition: Signals that are added to the y and y' that it measures.
+        addition: Signals that are added to the y and y' of the plant before the sensor reads them.
     """
 
     params: Params
@@ -63,13 +63,22 @@ class BreakPointSensorParams(NamedTuple):
 def with_addition(sensor: Sensor) -> Sensor:
     """A sensor that reads the plant's measurement plus the addition in its :class:`BreakPointSensorParams`.
 
-    So a break point at a measurement is an input of the sensor's parameters.
+    The signal that is added at a break point thus enters the loop as a parameter of the sensor.
     """
 
     def sense(
         p: BreakPointSensorParams, z: State, m: Measurement, key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[State, Measurement]:
-        """The sensor's next state and its reading of the sum; z: its state, m: the plant's measurement."""
+        """The sensor's next state and its reading of the sum.
+
+        Args:
+            p: Parameters of the sensor, and the addition.
+            z: State of the sensor.
+            m: The plant's measurement.
+            key: Random key of this call.
+            t: Time [s].
+            dt: Sample time T_s [s].
+        """
         return sensor.step(p.params, z, Measurement(m.y + p.addition.y, m.y_dot + p.addition.y_dot), key, t, dt)
 
     return Sensor(BreakPointSensorParams, lambda p, m, key: sensor.init(p.params, m, key), sense)
@@ -78,7 +87,11 @@ def with_addition(sensor: Sensor) -> Sensor:
 def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
     """The loop and its parameters at a constant reference, without disturbances, wind and sensor noise.
 
-    So it can rest at an equilibrium, about which it is linearised.
+    Such a loop can rest at an equilibrium, and is linearised there.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
     """
     desired = constant_reference(loop, params)
     undisturbed_loop = replace(
@@ -102,8 +115,12 @@ def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
 def constant_reference(loop: Loop, params: LoopParams) -> ReferencePoint | ReferencePoints:
     """The constant desired outputs at which a loop is linearised.
 
-    For several channels they are the outputs at t = 0, where a vehicle hovers. For one channel it is the constant level
-    of the study's reference (``Reference.level``), or 0 if the reference has none.
+    A loop of several channels keeps the outputs that its plant has at t = 0, where a vehicle hovers. A loop of one
+    channel has the constant level of the study's reference (``Reference.level``), or 0 if the reference has none.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
     """
     if len(loop.channels) > 1:
         origin = (ReferencePoint(0.0, 0.0, 0.0),) * len(loop.channels)
@@ -128,14 +145,14 @@ def sample_map(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         k: Index of the sample.
 
     Returns:
         ``(state, additions) -> (state after the sample, signals)``, all vectors. The state is the flattened
-        :class:`~dssc_jax.closed_loop.sample.LoopState`. Additions, and the signals before these are added, have one
-        element for each break point, in the order of :func:`place_names`.
+        :class:`~dssc_jax.closed_loop.sample.LoopState`. ``additions`` and ``signals`` have one element for each break
+        point, in the order of :func:`place_names`. The signals are those before the addition.
     """
     _, state_from_vector = ravel_pytree(initial_state(loop, params, key))
     loop_with_inputs = replace(
@@ -146,7 +163,7 @@ def sample_map(
     places = measured_places(loop.channels)
 
     def sample(state: jax.Array, additions: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The state after the sample, and the signal at each break point."""
+        """The state after the sample, and the signal at each break point before the addition."""
         at_input, at_output, at_rate = additions.reshape(len(loop.channels), len(BreakPoint)).T
         sensors = []
         for i, sensor in enumerate(params.sensor):
@@ -168,9 +185,9 @@ def sample_map(
 
 
 def measured_places(channels: Sequence[str]) -> dict[str, int]:
-    """Index of the break point at each channel's y and y', by their names as measured signals, such as ``x_y``.
+    """Index of the break point at each channel's y and y', by the name of the measured signal, such as ``x_y``.
 
-    A controller may also read y as a measured signal, so an addition at the break point enters there, too.
+    A controller may also read y or y' as a measured signal. Additions at the break point must then enter there, too.
     """
     names = place_names(channels)
     places = {}
@@ -181,9 +198,10 @@ def measured_places(channels: Sequence[str]) -> dict[str, int]:
 
 
 def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:
-    """The state after the first sample as a vector, with which a flight begins along which the loop is linearised.
+    """The state after the first sample, as a vector: the start of a flight along which the loop is linearised.
 
-    It is not the state before that sample, because controllers may treat the first sample unlike all others.
+    A flight for linearisation does not start at the state before that sample, because controllers may treat the first
+    sample unlike all others.
     """
     state, _ = step(loop, params, key, initial_state(loop, params, key), 0)
     vector, _ = ravel_pytree(state)

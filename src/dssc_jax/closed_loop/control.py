@@ -2,9 +2,9 @@
 
 An angle passes from the plant to the controller in four forms:
 
-1. The sensor sees it continuous in time: shifted by whole turns to within pi of its last value.
-2. The sensor's reading reaches the flight computer by its principal value in (-pi, pi], as autopilots give it.
-3. The flight computer makes it continuous again before the differentiator.
+1. The sensor sees the angle continuous in time: shifted by whole turns to within pi of its last value.
+2. The flight computer receives the principal value of the sensor's reading, in (-pi, pi], as autopilots give it.
+3. The flight computer makes the reading continuous again before the differentiator.
 4. The controller's reference is shifted by whole turns to within pi of the measurement, so that the error is wrapped.
 
 Steps 3 and 4 are part of :func:`control`, hence of the generated C. Metrics count the wrapped error.
@@ -71,7 +71,7 @@ def measure(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         plant: The plant's state.
         references: The desired outputs.
         drive: The plant's input just before; None: commands and disturbances are 0.
@@ -83,20 +83,33 @@ def measure(
 
 
 def is_angle(loop: Loop, i: int) -> bool:
-    """Whether the output of channel i is an angle."""
+    """Whether the output of channel i is an angle, which may have any number of turns."""
     return loop.channels[i] in loop.plant.angles
 
 
 def near_reference(loop: Loop, i: int, measurement: Measurement, reference: ReferencePoint) -> Measurement:
-    """The measurement of channel i; an angle is shifted by whole turns to lie within pi of its reference."""
+    """The measurement of channel i; an angle [rad] is shifted by whole turns to lie within pi of the reference.
+
+    Args:
+        loop: The models and the clock.
+        i: Index of the channel.
+        measurement: The plant's output.
+        reference: The desired output.
+    """
     return measurement._replace(y=turned_near(measurement.y, reference.y)) if is_angle(loop, i) else measurement
 
 
 def unwrap(loop: Loop, i: int, measurement: Measurement, previous: State) -> Measurement:
-    """The measurement of channel i; an angle is shifted by whole turns to lie within pi of the previous one [rad].
+    """The measurement of channel i; an angle is shifted by whole turns to lie within pi of its previous value.
 
-    So the angle is continuous in time, unless it turns by more than pi within a sample. Sensors and differentiators
-    have a memory, which must see no jump by a turn.
+    The result is continuous in time, unless the angle turns by more than pi within a sample. Sensors and
+    differentiators need this, because a jump by a whole turn would disturb their memory.
+
+    Args:
+        loop: The models and the clock.
+        i: Index of the channel.
+        measurement: The measurement at this sample.
+        previous: The angle at the previous sample [rad]; not read if the output is no angle.
     """
     if not is_angle(loop, i):
         return measurement
@@ -105,7 +118,13 @@ def unwrap(loop: Loop, i: int, measurement: Measurement, previous: State) -> Mea
 
 
 def principal_value(loop: Loop, i: int, measurement: Measurement) -> Measurement:
-    """The reading that the sensor of channel i sends to the flight computer: an angle is wrapped to (-pi, pi]."""
+    """The reading that the sensor of channel i sends to the flight computer: an angle is wrapped to (-pi, pi].
+
+    Args:
+        loop: The models and the clock.
+        i: Index of the channel.
+        measurement: The sensor's reading, continuous in time.
+    """
     return measurement._replace(y=wrap_angle(measurement.y)) if is_angle(loop, i) else measurement
 
 
@@ -116,7 +135,7 @@ def initial_control(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         i: Index of the channel.
         reading: The sensor's first reading.
         reference: The desired output.
@@ -129,7 +148,18 @@ def initial_control(
 def first_signals(
     loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint
 ) -> tuple[State, Measurement, ReferencePoint]:
-    """State of channel i's differentiator before its first step, and the controller's two inputs in that step."""
+    """State of channel i's differentiator before its first step, and the controller's two inputs in that step.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        i: Index of the channel.
+        reading: The sensor's reading.
+        reference: The desired output.
+
+    Returns:
+        The differentiator's state, the controller's measurement, and the controller's reference.
+    """
     of_channel = reading._replace(signals=())
     differentiator = loop.differentiator[i].init(params.differentiator[i], of_channel)
     _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, of_channel, loop.sample_time)
@@ -138,7 +168,16 @@ def first_signals(
 
 
 def required_signals(loop: Loop, i: int, readings: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-    """The readings that the controller of channel i asked for, in the order it asked; all if it asked for none."""
+    """The readings that the controller of channel i asks for, in the order in which it asks.
+
+    Args:
+        loop: The models and the clock.
+        i: Index of the channel.
+        readings: The reading of each measured signal of the study.
+
+    Returns:
+        The readings asked for; all of them if the controller asks for none by name.
+    """
     requested_signals = loop.controller[i].signals
     if not requested_signals:
         return readings
@@ -147,10 +186,16 @@ def required_signals(loop: Loop, i: int, readings: tuple[Scalar, ...]) -> tuple[
 
 
 def reference_near_measurement(loop: Loop, i: int, reference: ReferencePoint, sensed: Measurement) -> ReferencePoint:
-    """The controller's reference; that of an angle is shifted by whole turns to lie within pi of the measurement.
+    """The controller's reference; for an angle [rad], it is shifted by whole turns to lie within pi of the measurement.
 
-    The reference is shifted, not the measurement: a controller that differentiates its measurement sees no jump where
-    the reference crosses pi, or steps by more than half a turn.
+    The reference is shifted, and not the measurement. Otherwise a controller that differentiates its measurement would
+    see a jump where the reference crosses pi, or steps by more than half a turn.
+
+    Args:
+        loop: The models and the clock.
+        i: Index of the channel.
+        reference: The desired output.
+        sensed: The controller's measurement.
     """
     if not is_angle(loop, i):
         return reference
@@ -168,7 +213,7 @@ def control(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         i: Index of the channel.
         state: State of differentiator and controller.
         reading: The sensor's reading.
@@ -192,6 +237,14 @@ def transfer_control(
     loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint, command: Scalar
 ) -> ControlState | None:
     """The state of channel i whose first step gives ``command`` at this sample, for a bumpless start.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        i: Index of the channel.
+        reading: The sensor's reading at this sample.
+        reference: The desired output at this sample.
+        command: The command that the first step must give.
 
     Returns:
         The state; None if the controller offers no such start.

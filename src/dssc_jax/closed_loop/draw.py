@@ -46,18 +46,18 @@ class Run(NamedTuple):
 class Progress(NamedTuple):
     """What a time loop over the samples of a draw carries from one sample to the next.
 
-    It contains the sample index, because an array of all indices would grow with the duration.
+    The sample index k is counted here, because an array of all indices would grow with the duration.
 
     Args:
         k: Index of the next sample.
         state: State of the loop.
         accumulators: Accumulators of the metrics.
         outcome: The outcome so far.
-        steps: Samples that the draw has completed.
+        steps: Number of samples that the draw has completed.
         in_band: Number of consecutive samples, up to the last one, with errors small enough to settle; () for a loop
             without a rule for settled draws.
-        violations: Samples at which requirements whose violation is final were first violated, see
-            :func:`~dssc_jax.closed_loop.metrics.requirements.watch`.
+        violations: For each requirement whose violation is final, the number of samples after which it was first
+            violated, see :func:`~dssc_jax.closed_loop.metrics.requirements.watch`.
     """
 
     k: Scalar
@@ -81,7 +81,7 @@ def initial_progress(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.
@@ -106,7 +106,7 @@ def initial_progress(
 def integer_type() -> type[np.integer]:
     """The integer type as long as the loop's real numbers: int64 with float64, int32 with float32.
 
-    So a vector register of the processor holds as many integers as real numbers.
+    With equal lengths, a vector register of the processor holds as many integers as real numbers.
     """
     return np.int64 if jnp.result_type(float) == jnp.float64 else np.int32
 
@@ -150,17 +150,17 @@ def make_sample_step(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.
-        freeze: Whether a draw that has ended also keeps its last state and accumulators, so that later values are
-            finite.
+        freeze: Whether a draw that has ended also keeps its last state and accumulators, so that all later numbers in
+            the time loop are finite.
     """
     advance = held_between_samples(loop, params)
 
     def sample(progress: Progress) -> tuple[Progress, Recorded]:
-        """The carry after one sample, and the signals of that sample."""
+        """The carry after one sample, and the signals of this sample."""
         state, recorded = step(loop, params, key, progress.state, progress.k, advance)
         accumulators = update_accumulators(
             measures, progress.accumulators, recorded.instant, progress.k, loop.sample_time
@@ -194,9 +194,10 @@ def make_sample_step(
 
 
 def outcome_at_sample(recorded: Recorded) -> tuple[Scalar, Scalar]:
-    """The outcome code of a draw after a sample, and whether the plant's model ends the draw there.
+    """The outcome code of a draw after a sample, and whether the plant's model ends the draw at this sample.
 
-    The model ends it at a singular attitude or on the ground. A state that is not finite comes before both.
+    The model ends a draw at a singular attitude or on the ground. If the state is not finite, the code says so,
+    whatever else has happened.
     """
     integer = integer_type()
     outcome = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
@@ -211,6 +212,11 @@ def select_number(is_completed: Scalar, new: jax.Array, old: jax.Array) -> jax.A
     """The new number of an accumulator if the sample is completed, else the old number.
 
     An array is always replaced by the new one: it holds the delay lines of a formula, which no final value reads.
+
+    Args:
+        is_completed: Whether the draw was running and has completed the sample.
+        new: Leaf of the accumulator after the sample.
+        old: The same leaf before the sample.
     """
     return new if jnp.ndim(new) else jnp.where(is_completed, new, old)
 
@@ -227,20 +233,21 @@ def simulate_draw(
 ) -> Run:
     """Simulate one draw without recording it; memory does not grow with the duration.
 
-    A draw ends early at the sample whose state is not finite or at which the plant's model is no longer valid. Its
-    metrics are NaN and its slacks -inf, regardless of later values in the time loop. A settled draw keeps its metrics.
+    A draw ends early at the sample whose state is not finite, or at which the plant's model is no longer valid. The
+    metrics of such a draw are NaN and the slacks -inf, regardless of later values in the time loop. A settled draw
+    keeps its metrics.
 
     The state of a draw that has ended is frozen (see :func:`make_sample_step`) in two cases. If derivatives may be
     taken (``axis_name`` is None), later values must be finite. If draws may settle, their metrics must stay.
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.
-        axis_name: Name of the mapped axis of the draws that share the time loop, which stops when all of them have
-            ended. None: the loop has its full length, as derivatives require.
+        axis_name: Name of the mapped axis of the draws that share the time loop. The loop stops when all of these draws
+            have ended. None: the loop has its full length, as derivatives require.
         segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`; for ``axis_name`` = None only.
         margins: Value of each margin of the linearised loop among the measures, by the measure's name.
     """
@@ -273,7 +280,7 @@ def simulate_recorded(
 
     Args:
         loop: The models and the clock, as for :func:`simulate_draw`, like all arguments but ``stride``.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.

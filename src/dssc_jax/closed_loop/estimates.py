@@ -10,9 +10,9 @@ from dssc_jax.core.signals import Measurements, PlantInput, ReferencePoints, Sca
 
 
 def estimation_of(loop: Loop, params: LoopParams) -> Estimation | None:
-    """The plant's sensors and estimator on board if its parameters select them.
+    """The plant's sensors and estimator on board if its parameters enable them, else None.
 
-    None: there are none, so the controllers see the true state.
+    With None, the controllers see the true state.
     """
     estimation = loop.mimo_plant.estimation
     return estimation if estimation is not None and estimation.is_enabled(params.plant) else None
@@ -21,7 +21,17 @@ def estimation_of(loop: Loop, params: LoopParams) -> Estimation | None:
 def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State) -> tuple[State, State]:
     """The plant's state with the error of the first estimate, and the estimator's memory at t = 0.
 
-    Sampled software on board, which has started from the true state, starts again from the estimate.
+    The plant's sampled software on board starts a second time here: it has started from the true state, and must start
+    from the estimate.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        key: The draw's random key.
+        plant: The true state of the plant.
+
+    Returns:
+        The plant's state and the memory; without an estimator the state as it is, and ().
     """
     estimation = estimation_of(loop, params)
     if estimation is None:
@@ -37,11 +47,11 @@ def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State)
 def next_estimate(
     loop: Loop, params: LoopParams, key: jax.Array, plant: State, memory: State, k: Scalar
 ) -> tuple[State, State]:
-    """The state of plant and estimator at sample k, after the estimator's step; without one, both as they are.
+    """The states of plant and estimator at sample k, after the estimator's step; unchanged without an estimator.
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         plant: State of the plant, which contains the error of the estimate.
         memory: Memory of the estimator before its step.
@@ -68,7 +78,7 @@ def measurements_for_sensors(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         plant: The plant's state, with the error of the estimate.
         references: The desired outputs.
         drive: The plant's input just before the sample.

@@ -14,7 +14,15 @@ from dssc_jax.core.signals import Measurements, State
 
 
 def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
-    """The loop's state before the first sample; unmodelled dynamics are at rest, with a command of 0 before t = 0."""
+    """The loop's state before the first sample.
+
+    The command before t = 0 is 0, and the unmodelled dynamics are at rest under this command.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        key: The draw's random key.
+    """
     true_plant = begin_plant(loop, params, key)
     references = loop.mimo_reference.at(params.reference, 0.0)
     at_rest = tuple(model.init(p) for model, p in zip(loop.unmodelled, params.unmodelled, strict=True))
@@ -53,7 +61,13 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
 
 
 def initial_disturbances(loop: Loop, params: LoopParams, key: jax.Array) -> tuple[tuple[State, ...], tuple[State, ...]]:
-    """States of the disturbances at t = 0: of each channel, and of each named input of the plant."""
+    """States at t = 0 of the disturbances of each channel, and of the disturbances at each named input of the plant.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        key: The draw's random key.
+    """
     disturbances = []
     for model, p, name in zip(loop.disturbance, params.disturbance, loop.channels, strict=True):
         disturbances.append(model.init(p, loop.key_at(key, "disturbance", name, 0)))
@@ -66,13 +80,13 @@ def initial_disturbances(loop: Loop, params: LoopParams, key: jax.Array) -> tupl
 def first_channel_readings(
     loop: Loop, params: LoopParams, key: jax.Array, measurements: Measurements
 ) -> tuple[tuple[State, ...], Measurements]:
-    """State of each channel's sensor before the first sample, and its reading at that sample, an angle in (-pi, pi].
+    """State of each channel's sensor before the first sample, and the sensor's reading at that sample.
 
-    A controller starts from this reading, not from the plant's output.
+    A controller starts from this reading, and not from the plant's output. An angle is in (-pi, pi].
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         measurements: The plant's outputs at t = 0, true or estimated.
     """

@@ -13,8 +13,8 @@ from dssc_jax.core.signals import Info
 def first_infos(loop: Loop, params: LoopParams) -> tuple[tuple[Info, ...], Info]:
     """What each channel's controller reports, and what the plant reports, at the first sample without noise.
 
-    A study reads only the names and types of these fields. So channels with the same models share one info, even if
-    their numbers differ.
+    A study reads only the names and types of the reported fields. Therefore channels with the same models share one
+    info, even if their parameters have different values.
     """
     plant = as_arrays(loop.plant.init(params.plant))
     references = loop.mimo_reference.at(params.reference, 0.0)
@@ -39,7 +39,7 @@ def fields_of(info: Info, part: str) -> tuple[str, ...]:
 
     Args:
         info: A NamedTuple of signals, or () if the part reports nothing.
-        part: The part that reports it, such as ``plant``, for the message.
+        part: The part, such as ``plant``, for the message.
 
     Raises:
         ConfigError: The info has another form.

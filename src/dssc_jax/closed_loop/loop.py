@@ -23,10 +23,20 @@ def signal_name(channel: str, signal: str) -> str:
 
 
 class LoopParams(NamedTuple):
-    """Parameters of every part of a :class:`Loop`, in fields with the same names; any number may be traced.
+    """Parameters of every part of a :class:`Loop`; any number may be traced.
 
-    Controllers, sensors, differentiators, unmodelled dynamics and disturbances have one element for each channel;
-    ``inputs``, ``signal_sensor`` and ``events`` have one for each model of that field.
+    Args:
+        plant: Parameters of the plant.
+        reference: Parameters of the reference.
+        wind: Parameters of the wind.
+        controller: Parameters of each channel's controller.
+        sensor: Parameters of each channel's sensor.
+        differentiator: Parameters of each channel's differentiator.
+        unmodelled: Parameters of each channel's unmodelled dynamics.
+        disturbance: Parameters of each channel's disturbance.
+        inputs: Parameters of the disturbance at each input that the plant names.
+        signal_sensor: Parameters of the sensor of each measured signal.
+        events: Parameters of each event.
     """
 
     plant: Params
@@ -43,10 +53,10 @@ class LoopParams(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """The rule that ends a draw: it has settled once |e| <= ``error`` in every channel for a time ``hold``.
+    """The rule that ends a draw: it has settled once |e| <= ``error`` in every channel for the time ``hold``.
 
     Args:
-        error: Bound on |e| [m; rad for psi].
+        error: Bound on |e| in the unit of the output [m; rad for psi].
         hold: Time for which the bound must hold [s].
         after: Time before which no sample counts [s].
     """
@@ -72,18 +82,18 @@ class Loop:
         unmodelled: Dynamics between command and plant that the controllers do not know.
         disturbance: Matched disturbances.
         channels: Names of the channels; one empty name for a plant with one channel.
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
         steps: Number of samples.
         substeps: Integrator steps between two samples.
         integrator: Method of integration.
-        settled: Rule for ending a settled draw; None: never.
+        settled: Rule for ending a settled draw; None: no draw ends in this way.
         inputs: A disturbance at each input that the plant names.
-        input_names: Names of these inputs.
+        input_names: Names of the inputs of ``inputs``.
         outputs: Signals that the plant's monitor reports and that are declared with unit and meaning.
         measures: Signals that are measured beside y and y' of each channel.
         signal_sensor: A sensor for each measured signal.
         events: Events of the vehicle, such as the loss of a rotor.
-        rotors: Number of its rotors if there are events, else 0.
+        rotors: Number of the vehicle's rotors if there are events, else 0.
     """
 
     plant: Plant
@@ -133,12 +143,12 @@ class Loop:
         return PlantInput(zeros, zeros, wind=None, inputs=quiet_inputs(self.plant, params))
 
     def key(self, draw: jax.Array, slot: str, name: str = "") -> jax.Array:
-        """The random key of one part in one draw, the same whatever other parts a study has.
+        """The random key of one part in one draw; it does not depend on which other parts the study has.
 
         Args:
             draw: The draw's key.
             slot: The kind of part, such as ``sensor``.
-            name: Name of its channel, input or signal; empty for a part without one.
+            name: Name of the part's channel, input or signal; empty for a part without such a name.
         """
         return jax.random.fold_in(draw, stream(f"{slot}.{name}" if name else slot))
 
@@ -148,7 +158,7 @@ class Loop:
         Args:
             draw: The draw's key.
             slot: The kind of part, as for :meth:`key`.
-            name: Name of its channel, input or signal, or empty.
+            name: Name of the part's channel, input or signal; empty for a part without such a name.
             call: Number of the call: 0 for ``init``, and k + 1 for sample k.
         """
         return jax.random.fold_in(self.key(draw, slot, name), call)

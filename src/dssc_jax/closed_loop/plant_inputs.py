@@ -12,7 +12,7 @@ def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], comma
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         unmodelled: States of the unmodelled dynamics.
         commands: Commands of the controllers.
     """
@@ -27,7 +27,16 @@ def receive_command(
 ) -> State:
     """The state of channel i's unmodelled dynamics once they have received the command of sample k.
 
-    Dynamics that act once a sample, such as a computer's delay or quantiser, change their state here.
+    Only dynamics that act once per sample, such as a computer's delay or quantiser, change their state here.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        key: The draw's random key.
+        unmodelled: The state before the sample.
+        i: Index of the channel.
+        command: The command of sample k.
+        k: Index of the sample.
     """
     sample_key = loop.key_at(key, "unmodelled", loop.channels[i], k + 1)
     return loop.unmodelled[i].sample(params.unmodelled[i], unmodelled, command, sample_key, loop.sample_time)
@@ -47,7 +56,7 @@ def plant_input(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         input_states: State of the disturbance of each channel, then of each named input.
         wind: State of the wind.
         plant: State of the plant at the stage.

@@ -12,15 +12,15 @@ STATE = "x"
 
 
 def has_measured_angle(loop: Loop, i: int) -> bool:
-    """Whether the output y of channel i is an angle, and the study also declares it as a measured signal."""
+    """Whether the output y of channel i is an angle, and the study also declares this output as a measured signal."""
     output = signal_name(loop.channels[i], "y")
     return is_angle(loop, i) and output in [signal.name for signal in loop.measures]
 
 
 def continuous_outputs(loop: Loop, measurements: Measurements, previous: Signals | tuple[State, ...]) -> Measurements:
-    """The plant's outputs, with each measured angle within pi of its previous value.
+    """The plant's outputs, with each measured angle shifted by whole turns to lie within pi of its previous value.
 
-    So the sensor of an angle sees no jump by a whole turn.
+    The sensor of such an angle therefore sees no jump by a whole turn.
 
     Args:
         loop: The models and the clock.
@@ -41,7 +41,7 @@ def signal_values(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         plant: The plant's state.
         measurements: The plant's outputs; an angle from :func:`continuous_outputs`.
         drive: The plant's input just before the sample, so that a signal with feedthrough shows the last command.
@@ -61,11 +61,11 @@ def signal_values(
 def first_readings(
     loop: Loop, params: LoopParams, key: jax.Array, values: Signals
 ) -> tuple[tuple[State, ...], Signals]:
-    """States of the signals' sensors before the first sample, and their readings at it.
+    """States of the signals' sensors before the first sample, and the sensors' readings at the first sample.
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         values: True values of the signals at t = 0.
     """
@@ -81,11 +81,11 @@ def first_readings(
 def read_signals(
     loop: Loop, params: LoopParams, key: jax.Array, states: tuple[State, ...], values: Signals, k: Scalar
 ) -> tuple[tuple[State, ...], Signals]:
-    """States of the signals' sensors after sample k, and their readings at it.
+    """States of the signals' sensors after sample k, and the sensors' readings at sample k.
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         states: States of the sensors before the sample.
         values: True values of the signals.

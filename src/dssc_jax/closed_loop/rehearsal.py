@@ -35,11 +35,11 @@ TRACED_VALUES = (
 
 
 class PartFunction(NamedTuple):
-    """The role that a function of a user's own plays in a study.
+    """The role that a user's own function plays in a study.
 
     Args:
-        part: The part of the study that it belongs to, such as ``controller.x``.
-        field: Its name among the functions of such a part, such as ``step``.
+        part: The part of the study that the function belongs to, such as ``controller.x``.
+        field: Name of the function among those of such a part, such as ``step``.
     """
 
     part: str
@@ -53,7 +53,7 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
 
     Args:
         loop: The models and the clock.
-        params: Their parameters; numbers may be abstract.
+        params: Parameters of the models; numbers may be abstract.
 
     Raises:
         ConfigError: A user's function fails, a state changes its form, or the same call gives different values.
@@ -74,7 +74,7 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
 
 
 def require_forms_of_steps(loop: Loop, state: LoopState, next_state: LoopState) -> None:
-    """Require that each part's ``step`` returns a state of the form that its state before the sample has.
+    """Require that each part's ``step`` returns a state of the same form as the state that it takes.
 
     Args:
         loop: The models and the clock.
@@ -95,10 +95,11 @@ def require_forms_of_steps(loop: Loop, state: LoopState, next_state: LoopState) 
 
 
 def require_repeatable(loop: Loop, params: LoopParams) -> None:
-    """Require that every trace of the first sample gives the same program, as it does if all parts are pure functions.
+    """Require that two traces of the first sample give the same program, as they do if all parts are pure functions.
 
     Raises:
-        ConfigError: Two traces differ: a user's function draws random numbers of its own, reads a clock, or counts.
+        ConfigError: The traces differ, because a user's function draws random numbers, reads a clock, or counts its
+            calls.
     """
 
     def program() -> Callable[[], tuple[LoopState, State, LoopState]]:
@@ -170,7 +171,7 @@ def require_finite_start(part: str, state: State) -> None:
 
     Args:
         part: Path of the part in the study.
-        state: Its initial state, any tree of numbers.
+        state: Initial state of the part, any tree of numbers.
 
     Raises:
         ConfigError: A number is infinite or NaN; the message has its field.
@@ -204,7 +205,9 @@ def signals_at_start(loop: Loop, params: LoopParams) -> tuple[Measurements, Refe
 
 
 def check_results(loop: Loop, params: LoopParams) -> None:
-    """Require that the plant returns measurements, each sensor readings, and each controller state, command and info.
+    """Require that plant, sensors and controllers return values of the right types.
+
+    The plant must return measurements, each sensor a state and a reading, and each controller state, command and info.
 
     Raises:
         ConfigError: A part returns something else.
@@ -235,7 +238,7 @@ def check_reading(model: Sensor, params: Params, measurement: Measurement, place
 
     Args:
         model: The sensor.
-        params: Its parameters.
+        params: Parameters of the sensor.
         measurement: A true measurement.
         place: Path of the sensor in the study.
         dt: Sample time T_s [s].
@@ -252,12 +255,18 @@ def check_reading(model: Sensor, params: Params, measurement: Measurement, place
 
 
 def place_of(slot: str, channel: str) -> str:
-    """Path of a channel's part in the study, such as ``controller.x``; the slot alone where channels have no names."""
+    """Path of a channel's part in the study, such as ``controller.x``; for a channel without a name, the slot alone."""
     return f"{slot}.{channel}" if channel else slot
 
 
 def initial_derivative(loop: Loop, params: LoopParams, state: LoopState) -> State:
-    """The derivative of the plant's state at t = 0 under zero commands."""
+    """The derivative of the plant's state at t = 0 under zero commands.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        state: The loop's state before the first sample.
+    """
     unmodelled = tuple(channel.unmodelled for channel in state.channels)
     zero_commands = (0.0,) * len(loop.channels)
     actuation = actuate(loop, params, unmodelled, zero_commands)
@@ -267,9 +276,9 @@ def initial_derivative(loop: Loop, params: LoopParams, state: LoopState) -> Stat
 
 
 def user_functions(loop: Loop) -> dict[CodeType, PartFunction]:
-    """The functions of a loop's parts that users wrote, by their code objects, which tracebacks contain.
+    """The functions of a loop's parts that users wrote, by their code objects.
 
-    A function is the user's own if its module does not belong to this package.
+    Tracebacks contain the code objects. A function is the user's own if its module does not belong to this package.
     """
     places = [("plant", loop.plant), ("reference", loop.reference), ("wind", loop.wind)]
     for slot in SLOTS_OF_CHANNELS:
@@ -297,7 +306,7 @@ def part_names(functions: dict[CodeType, PartFunction]) -> str:
 def faults_by_part(loop: Loop) -> Iterator[None]:
     """A context in which an exception becomes an error that names the user's part, function and line.
 
-    The exceptions of a loop without parts of the user's own pass unchanged.
+    If the loop has no parts of the user's own, exceptions pass unchanged.
 
     Raises:
         ConfigError: In place of the exception.
@@ -314,10 +323,11 @@ def faults_by_part(loop: Loop) -> Iterator[None]:
 
 
 def fault_of(error: Exception, functions: dict[CodeType, PartFunction]) -> ConfigError:
-    """The error that tells a user which function of theirs failed, and in which line.
+    """The error that tells users which of their functions failed, and in which line.
 
-    The function is the innermost of the user's own on the exception's traceback; the line is the innermost in a file of
-    that function's folder. Without such a function, the exception has followed from a value that one returned.
+    The function is the user's innermost one on the exception's traceback. The line is the innermost one in a file of
+    that function's folder. If no such function is on the traceback, the exception follows from a value that one
+    returned.
 
     Args:
         error: The exception.

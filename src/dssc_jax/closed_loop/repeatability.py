@@ -1,7 +1,7 @@
 """Comparison of two traces of one function: their programs differ if the function is not pure.
 
-JAX traces a function to a program, a list of equations. A function that reads a clock, a counter or random numbers of
-its own leaves other constants in the program each time.
+JAX traces a function to a program, a list of equations. If the function reads a clock, counts its calls or draws random
+numbers without JAX, the constants in the program differ from trace to trace.
 """
 
 import re
@@ -37,10 +37,10 @@ def first_difference(program: Callable[[], Callable[[], Any]]) -> list[CodeType]
 
 
 def different_equation(first: ClosedJaxpr, second: ClosedJaxpr) -> JaxprEqn | None:
-    """The first equation of a program that differs from its counterpart in the second; None if all are equal.
+    """The first equation of a program that differs from its counterpart in the second program; None if all are equal.
 
-    An equation also differs if it reads a constant that has another value in the second program. Programs within an
-    equation, such as the body of a loop, are searched first.
+    An equation also differs if it reads a constant whose value is another one in the second program. Programs within an
+    equation, such as the body of a loop, are searched first, so that the innermost difference is found.
     """
     different_constants = set()
     for variable, value, second_value in zip(first.jaxpr.constvars, first.consts, second.consts, strict=False):
@@ -73,7 +73,10 @@ def inner_programs(equation: JaxprEqn) -> Iterator[ClosedJaxpr]:
 
 
 def same_values(first: list[Any], second: list[Any]) -> bool:
-    """Whether two lists of constants are equal to the bit; traced values, which have no bits yet, count as equal."""
+    """Whether two lists of constants are equal bit by bit.
+
+    Traced values have no bits yet, and count as equal.
+    """
     return [bits_of(value) for value in first] == [bits_of(value) for value in second]
 
 

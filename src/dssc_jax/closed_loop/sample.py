@@ -61,7 +61,8 @@ class ChannelState(NamedTuple):
         reaching: The command that reaches the plant just before the sample.
         angle: The plant's last output, continuous in time [rad]; () if the output is no angle.
         reading: The last reading, continuous in time [rad]; () if the output is no angle.
-        signal: The last value of the output as a measured signal, continuous in time [rad]; () if it is no such angle.
+        signal: The last value of the output as a measured signal, continuous in time [rad]; () if the output is no
+            angle, or is no measured signal.
     """
 
     controller: State
@@ -144,16 +145,18 @@ def held_parts(loop: Loop) -> HeldParts:
 def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
     """Return the function that advances plant and unmodelled dynamics by a sample.
 
-    Call this before the time loop, so that matrices of exact solutions are computed once for a draw.
+    Call ``held_between_samples`` before the time loop, so that matrices of exact solutions are computed once for a
+    draw.
     """
     return between_samples(held_parts(loop), params.plant, params.unmodelled)
 
 
 def all_finite(state: LoopState) -> Scalar:
-    """Whether the loop's state has not diverged: its numbers add up to so little that squares of signals are finite.
+    """Whether the loop's state has not diverged: its numbers have a sum so small that squares of signals stay finite.
 
-    One sum costs less than a test of each number, and a number that is infinite or NaN makes it so. The commands that
-    reach the plant are left out, because they follow from other states.
+    One sum costs less than a test of each number, and an infinite or NaN number makes the sum infinite or NaN. Words of
+    memory, such as those of a controller in C, are no numbers and are left out. The commands that reach the plant are
+    left out because they follow from other states.
     """
     state = state._replace(channels=tuple(channel._replace(reaching=0.0) for channel in state.channels))
     largest = float(jnp.finfo(jnp.result_type(float)).max)
@@ -175,11 +178,9 @@ def control_channel(
 ) -> tuple[ChannelState, ControlResult]:
     """Run sensor, differentiator and controller of channel i at sample k, and advance its disturbance's state.
 
-    The result is the channel's next state, without the unmodelled dynamics, and what its flight computer read and sent.
-
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         channel: The channel's state before the sample.
         i: Index of the channel.
@@ -187,6 +188,10 @@ def control_channel(
         signals: Readings of the measured signals.
         reference: The desired output.
         k: Index of the sample.
+
+    Returns:
+        The channel's next state, in which the unmodelled dynamics are not yet advanced, and the inputs and outputs of
+        the channel's flight computer.
     """
     t = k * loop.sample_time
     dt = loop.sample_time
@@ -258,11 +263,11 @@ def next_input_states(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         states: States of these disturbances before the sample.
         k: Index of the sample.
-        t: Its time [s].
+        t: Time of the sample [s].
     """
     next_states = []
     for i, name in enumerate(loop.input_names):
@@ -284,7 +289,7 @@ def step(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         state: The state at the sample.
         k: Index of the sample.
@@ -332,7 +337,13 @@ def step(
     disturbances = (*(channel.disturbance for channel in channels), *inputs)
 
     def drive_at(plant: State, actuation: Signals, time: Scalar) -> PlantInput[Signals]:
-        """The plant's input at a time [s] within the sample, with the commands that reach the plant then."""
+        """The plant's input at a time within the sample.
+
+        Args:
+            plant: The plant's state at that time.
+            actuation: The command of each channel that reaches the plant at that time.
+            time: The time [s].
+        """
         return plant_input(loop, params, disturbances, wind, plant, actuation, time, condition)
 
     plant, next_unmodelled = advance(drive_at, state.plant, unmodelled_states, held_commands, t)

@@ -30,8 +30,8 @@ def until_all_ended(
 ) -> C:
     """Advance sample by sample until ``steps`` are done, or until no draw is running; returns the last carry.
 
-    All draws of a mapped axis share the loop, so k and all that depends on k alone stay scalars. The loop asks only
-    once in :data:`CHECK_INTERVAL` samples whether a draw is running.
+    All draws of a mapped axis share the loop, so k and all that depends on k alone stay scalars. To save time, the loop
+    checks only once in :data:`CHECK_INTERVAL` samples whether a draw is running.
 
     Args:
         sample: Advances the carry by one sample.
@@ -73,7 +73,10 @@ def scan_segments(sample: Callable[[C], C], first_carry: C, steps: int, segment:
     """
 
     def repeat(advance: Callable[[C], C], carry: C, count: int) -> C:
-        """The carry after ``count`` calls; a scan that records nothing (None)."""
+        """The carry after ``count`` calls of ``advance``.
+
+        The scan counts the calls; its body returns None in place of a record.
+        """
         end, _ = jax.lax.scan(lambda carry, _: (advance(carry), None), carry, length=count)
         return end
 

@@ -30,9 +30,10 @@ MOST_FACTORS = 3
 
 
 def show_comparison(comparison: Comparison, files: list[Path]) -> None:
-    """Print the failures of each controller and the difference of each pair, also with tuned gains if there are any.
+    """Print the failures of each controller and the difference of each pair, before and, if gains were tuned, after
+    tuning.
 
-    Untuned gains are the given ones, or those that correspond to DSSC's (Table 2).
+    The gains before tuning are the given ones, or those that correspond to the gains of DSSC (Table 2).
 
     Args:
         comparison: The comparison.
@@ -56,7 +57,7 @@ def show_comparison(comparison: Comparison, files: list[Path]) -> None:
 
 
 def show_contest(contest: ContestAnswer, answer: ComparisonAnswer, gains: str) -> None:
-    """Print a table of the controllers' failures, and one of the paired differences.
+    """Print a table of the controllers' failures, and a table of the paired differences.
 
     Args:
         contest: Failures of each controller and pair, with one set of gains.
@@ -132,7 +133,9 @@ def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
 
 
 def show_output_sensitivities(name: str, quantities: Mapping[str, np.ndarray], answer: SensitivityAnswer) -> None:
-    """Print a table of an output's sensitivities, one row for each factor, those with large sensitivities first.
+    """Print a table of an output's sensitivities, one row for each factor, the largest first.
+
+    The sensitivities of the first kind decide the order.
 
     Args:
         name: Name of the output.
@@ -151,7 +154,7 @@ def show_output_sensitivities(name: str, quantities: Mapping[str, np.ndarray], a
 def main_factors(sensitivity: Sensitivity, name: str) -> str:
     """Name the factors on which an output depends most, each with its sensitivity and interval.
 
-    Factors whose interval includes 0 are left out; if all do, the largest factor alone is named.
+    Factors whose interval includes 0 are left out. If no factor remains, the largest one is named.
 
     Args:
         sensitivity: The analysis.
@@ -167,12 +170,18 @@ def main_factors(sensitivity: Sensitivity, name: str) -> str:
 
 
 def sensitivity_text(value: float, low: float, high: float) -> str:
-    """Format a sensitivity with its interval, and mark it if the interval includes 0."""
+    """Format a sensitivity with its interval, and mark it if the interval extends to 0 or below.
+
+    Args:
+        value: The sensitivity.
+        low: Lower end of the interval.
+        high: Upper end of the interval.
+    """
     return f"{value:.3g} [{low:.3g}, {high:.3g}]{'  consistent with 0' if low <= 0.0 else ''}"
 
 
 def show_probability(estimate: FailureProbability, files: list[Path]) -> None:
-    """Print a failure probability, the failures in each stratum, and how many plain draws would take its place.
+    """Print a failure probability, the failures in each stratum, and how many plain draws would be as precise.
 
     Args:
         estimate: The analysis.
@@ -242,9 +251,10 @@ def show_rare(event: RareEvent, files: list[Path]) -> None:
 
 
 def show_design_points(answer: RareAnswer) -> None:
-    """Print each design point: its distance [sigma], FORM and SORM probability, and its uncertain numbers.
+    """Print each design point: its distance [sigma], its FORM and SORM probability, and its uncertain numbers.
 
-    FORM and SORM are the first- and second-order approximations of the probability of failures around the point.
+    FORM and SORM are the first- and second-order approximations of the probability of the failures around a design
+    point.
     """
     if not answer.design_points:
         return
@@ -262,7 +272,7 @@ def show_design_points(answer: RareAnswer) -> None:
 
 
 def show_failing_ranges(answer: RareAnswer) -> None:
-    """Print the median of each uncertain number, and the number's 5, 50 and 95 % quantiles in draws that fail."""
+    """Print the median of each uncertain number, and its 5, 50 and 95 % quantiles over the draws that fail."""
     rows = []
     for name, number in answer.where.items():
         if number.failing is not None:

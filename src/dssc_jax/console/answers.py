@@ -10,7 +10,7 @@ from dssc_jax.results.fields import field_meanings
 def show_analysis(analysis: Analysis, files: list[Path]) -> None:
     """Print the headline of an analysis, each number and text of its answer with its meaning, and the files.
 
-    Lists and tables within the answer are not printed.
+    Entries of the answer that are lists or tables are left out.
 
     Args:
         analysis: The analysis.

@@ -15,7 +15,13 @@ TableRow = tuple[str, ...]
 
 
 class DesignTable(NamedTuple):
-    """A table of text with a title."""
+    """A table of text with a title.
+
+    Args:
+        title: The title.
+        head: Names of the columns.
+        rows: Cells of each row.
+    """
 
     title: str
     head: TableRow
@@ -49,7 +55,7 @@ def parameter_rows(numbers: Parameters | Constants) -> list[TableRow]:
 
 
 def inequality_table(certificate: Certificate) -> DesignTable:
-    """Table of Table 1's inequalities, with their slacks as derived here and as printed in the article."""
+    """Table of the inequalities of Table 1, with their slacks as derived here and as printed in the article."""
     rows = []
     for inequality in certificate.inequalities:
         numbers = (inequality.value, inequality.bound, inequality.slack, inequality.printed_slack)
@@ -103,7 +109,7 @@ def guarantee_table(design: DesignFile, certificate: Certificate) -> DesignTable
 
 
 def limits_table(limits: Limits) -> DesignTable:
-    """Table of how far each bound of the design can change alone before the certificate is lost."""
+    """Table of how far each bound of the design alone can change before the certificate is lost."""
     meanings = {
         "phi_b": "least phi_b",
         "disturbance": "largest factor on k_d1 ... k_d5, alpha_d2, alpha_d3",
@@ -142,7 +148,10 @@ def show_design(design: DesignFile, certificate: Certificate, limits: Limits | N
 
 
 def unmet_conditions(certificate: Certificate) -> str:
-    """List the inequalities and the small-gain condition that a design does not meet; empty if it meets all."""
+    """List the conditions that a design does not meet: inequalities, and the small-gain condition.
+
+    The text is empty if the design meets all conditions.
+    """
     conditions = []
     for inequality in certificate.inequalities:
         if not inequality.satisfied:
@@ -168,7 +177,12 @@ def latex(design: DesignFile, certificate: Certificate) -> str:
 
 
 def latex_table(table: DesignTable, design_name: str) -> str:
-    """Write a table as LaTeX, with the design's name in its caption."""
+    """Write a table as LaTeX.
+
+    Args:
+        table: The table.
+        design_name: Name of the design, for the caption.
+    """
     lines = [
         r"\begin{table}",
         rf"\caption{{{latex_text(f'{table.title} of {design_name}')}}}",

@@ -23,7 +23,7 @@ NOT_IN_TABLE = frozenset(
 def show_draw(attributes: Mapping[str, Any], units: Mapping[str, str], files: list[Path]) -> None:
     """Print how one draw ended, its drawn numbers, its metrics and its events.
 
-    ``failed_at`` is NaN in a draw that ran to its end, and is not printed then.
+    The attribute ``failed_at`` is NaN if the draw ran to its end, and is then left out.
 
     Args:
         attributes: Attributes of the trajectory.

@@ -21,7 +21,12 @@ LARGE_OUTSIDE_SHARE = 0.05
 
 
 class Table(NamedTuple):
-    """A table of text."""
+    """A table of text.
+
+    Args:
+        head: Names of the columns.
+        rows: Cells of each row.
+    """
 
     head: tuple[str, ...]
     rows: list[tuple[str, ...]]
@@ -76,7 +81,10 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
 
 
 def compared_samples_text(answer: LogAnswer) -> str:
-    """Tell how many samples are compared, how many of them the log has, and whether it ends before the study does."""
+    """Tell how many samples are compared, at how many of these the log has a value, and whether the log ends early.
+
+    The log ends early if it has fewer samples than the study. A file that is cut off within a message is named, too.
+    """
     is_shorter = answer.samples < answer.study_samples
     of_study = f" of the study's {answer.study_samples}" if is_shorter else ""
     compared = f"{answer.samples}{of_study} samples"
@@ -88,7 +96,9 @@ def compared_samples_text(answer: LogAnswer) -> str:
 
 
 def show_replay(summary: Mapping[str, Any], study: Study) -> None:
-    """Print how the commands of the analysed controller and the references of the study differ from the logged ones.
+    """Print how replayed commands and references differ from the logged ones.
+
+    The commands are those of the analysed controller, and the references are those of the study.
 
     Args:
         summary: ``replay``, ``dropped_rows`` and ``held_samples`` by signal, ``replayed_samples``, ``not_replayed``,
@@ -123,14 +133,14 @@ def show_replay(summary: Mapping[str, Any], study: Study) -> None:
 
 
 def show_warnings(warnings: Sequence[SignalWarning]) -> None:
-    """Print warnings, with the name of the log if there are several logs."""
+    """Print warnings; if there are several logs, each with the name of its log."""
     for warning in warnings:
         log_name = f"{warning.log}: " if isinstance(warning, FlightWarning) else ""
         show_line(f"warning: {log_name}{warning.text}")
 
 
 def held_text(held_counts: Mapping[str, int], samples: int, subject: str, between: str = HELD) -> str:
-    """Tell how many samples of each signal a log has, and what is assumed between them.
+    """Tell how many samples of each signal a log has, and what is assumed between these samples.
 
     Args:
         held_counts: Number of samples that the log lacks, by signal; only signals that lack some.
@@ -143,7 +153,10 @@ def held_text(held_counts: Mapping[str, int], samples: int, subject: str, betwee
 
 
 def departure_table(answer: LogAnswer) -> Table:
-    """Tabulate how far the logged signals depart from the draws, without signals that are equal in all draws."""
+    """Make the table of how far the logged signals depart from the draws.
+
+    A signal that is equal in all draws is left out.
+    """
     rows = []
     for name, signal in answer.signals.items():
         if signal.outside_share is None:
@@ -217,7 +230,10 @@ def beyond_text(answer: NextFlightAnswer) -> str:
 
 
 def counts_table(test: StudyTest) -> Table:
-    """Tabulate the numbers of flights that would refute or confirm the study, by the true share of extreme flights."""
+    """Make the table of the numbers of flights that would refute or confirm the study.
+
+    Each row is for one true share of extreme flights.
+    """
     rows = []
     for share, refuting_count in test.flights_to_refute.items():
         counts = (refuting_count, test.flights_to_confirm[share])
@@ -228,11 +244,11 @@ def counts_table(test: StudyTest) -> Table:
 
 
 def show_rank(answer: LogAnswer, p_value: float) -> None:
-    """Print the p-value of a log, and the verdict whether it is a flight of the study.
+    """Print the p-value of a log, and the verdict whether the log is a flight of the study.
 
     Args:
         answer: The comparison.
-        p_value: Its p-value, by the rank of the log among the draws.
+        p_value: The p-value, by the rank of the log among the draws.
     """
     show_line(
         f"p = {p_value:.4g}: {answer.draws_at_least_as_extreme} of {answer.draws} draws depart "
@@ -253,9 +269,9 @@ def show_rank(answer: LogAnswer, p_value: float) -> None:
 
 
 def outside_text(answer: LogAnswer) -> str:
-    """Name the signals that are outside the range of all draws for many of their samples; empty if there are none.
+    """Name the signals that are outside the range of all draws for many of their samples; empty if none is.
 
-    Many is a share above :data:`LARGE_OUTSIDE_SHARE`.
+    "Many" is a share of the signal's samples above :data:`LARGE_OUTSIDE_SHARE`.
     """
     shares = []
     for name, signal in answer.signals.items():
@@ -265,7 +281,7 @@ def outside_text(answer: LogAnswer) -> str:
 
 
 def show_fit(summary: Mapping[str, Any], warnings: Sequence[SignalWarning]) -> None:
-    """Print the estimates with their intervals, the residual, warnings, and the proposed laws or their file.
+    """Print the estimates with their intervals, the residual, warnings, and the proposed laws or the file with them.
 
     Args:
         summary: Summary of the fit and of the log's replay, as printed for JSON.
@@ -307,7 +323,7 @@ def show_estimates(numbers: Mapping[str, Any]) -> None:
 
 
 def search_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Describe the search for the best estimates, and on other minima of the residual."""
+    """Describe the search for the best estimates, and other minima of the residual."""
     starts = f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum"
     refined = ", with those that refine the best minimum" if summary["search_cut"] else ""
     lines = [f"{starts}; {summary['simulations']} simulations{refined}"]
@@ -324,7 +340,7 @@ def untried_lines(reason: str) -> list[str]:
     """Name the parts that the study may lack and that were not tried.
 
     Args:
-        reason: Why; empty: they were tried, and there is no line.
+        reason: Why they were not tried; empty: they were tried, and the result has no line.
     """
     if not reason:
         return []
@@ -335,11 +351,11 @@ def untried_lines(reason: str) -> list[str]:
 
 
 def kept_lines(widths: Mapping[str, float | None]) -> list[str]:
-    """Name the numbers that the flight does not identify, which keep their laws.
+    """Name the numbers that the flight does not identify; these keep their laws.
 
     Args:
-        widths: Standard deviation that the flight leaves to each number, relative to that of its law, by name; None:
-            the output does not depend on the number.
+        widths: Standard deviation that the flight leaves to each number, relative to that of the number's law, by name;
+            None: the output does not depend on the number.
     """
     lines = []
     for name, width in widths.items():
@@ -353,7 +369,8 @@ def residual_text(label: str, noise: Mapping[str, Any], unit: str) -> str:
 
     Args:
         label: Name of the residual.
-        noise: Its ``rms``, ``output_std``, ``correlated_share``, ``correlation_time`` and ``white_probability``.
+        noise: The residual's ``rms``, ``output_std``, ``correlated_share``, ``correlation_time`` and
+            ``white_probability``.
         unit: Unit of the output.
     """
     text = f"{label}: {noise['rms']:.4g} {unit} rms of an output with a standard deviation of {noise['output_std']:.4g}"

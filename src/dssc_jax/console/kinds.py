@@ -50,7 +50,7 @@ class KindDescription(TypedDict):
 
     Args:
         summary: The kind in one line.
-        fields: Names of its fields.
+        fields: Names of the kind's fields.
         options: Possible values of each option.
         about: Unit, meaning, admissible values and default of each field, by the name of the field and of the column.
     """
@@ -62,7 +62,7 @@ class KindDescription(TypedDict):
 
 
 class MetricDescription(TypedDict):
-    """A metric: its unit, its meaning, and ``of``, what it is measured for, such as a channel."""
+    """A metric: its unit, its meaning, and in ``of`` what it belongs to, such as a channel."""
 
     unit: str
     meaning: str
@@ -70,7 +70,7 @@ class MetricDescription(TypedDict):
 
 
 def registries() -> dict[str, Registry]:
-    """Return all registries by the table of a study that chooses from them: models first, then parts of models."""
+    """Return all registries, by the table of a study that chooses from each: models first, then parts of models."""
     by_table = dict(REGISTRIES)
     for slot, registry in REGISTRIES.items():
         for entry in registry.values():
@@ -157,7 +157,7 @@ def parameter_rows(params: type, prefix: str, preset: "NamedTuple | None") -> It
 
 
 def field_rows(spec: FieldSpec, name: str, default: object) -> Iterator[FieldRow]:
-    """Yield the rows of one field: several for a table or a list of tables, else one.
+    """Yield the rows of one field: several rows for a table or a list of tables, otherwise one.
 
     Args:
         spec: Specification of the field.
@@ -189,7 +189,13 @@ def field_rows(spec: FieldSpec, name: str, default: object) -> Iterator[FieldRow
 
 
 def value_row(spec: FieldSpec, name: str, default: str) -> FieldRow:
-    """Return the row of a field that is not a table, with a name and the text of its default value."""
+    """Return the row of a field that is not a table.
+
+    Args:
+        spec: Specification of the field.
+        name: Dotted name of the field.
+        default: Text of the default value.
+    """
     quantity = spec.mark
     if isinstance(quantity, Quantity):
         meaning = f"{quantity.meaning}{LIST_REMARKS[spec.depth]}"
@@ -203,9 +209,9 @@ def value_row(spec: FieldSpec, name: str, default: str) -> FieldRow:
 
 
 def limits_text(quantity: Quantity) -> str:
-    """List the bounds of a quantity's values, and whether they may not have a law; empty if all is admissible.
+    """List the bounds of a quantity's values, and whether a value may have a law; empty if everything is admissible.
 
-    A bound by another number of the same part is the name of that number.
+    If another number of the same part is the bound, its name is given.
     """
     limits = []
     bounds = {">": quantity.above, ">=": quantity.at_least, "<": quantity.below, "<=": quantity.at_most}
@@ -242,7 +248,7 @@ def entry_of(model: Any, name: str) -> Entry:
         name: Name of the object, for messages.
 
     Raises:
-        ConfigError: The object is none of these.
+        ConfigError: The object is of another type.
     """
     if isinstance(model, Entry):
         return model
@@ -300,9 +306,13 @@ def fields_named(name: str) -> dict[tuple[str, str], list[FieldRow]]:
 
 
 def described_name(name: str) -> dict[str, Any]:
-    """Describe for JSON what has a name: kinds, fields, a law, a metric.
+    """Describe for JSON everything with a name: kinds, fields, a law, a metric.
 
-    Arguments and errors are those of :func:`entries_named`.
+    Args:
+        name: The name, as for :func:`entries_named`.
+
+    Raises:
+        ConfigError: No kind, law, metric or field has the name.
     """
     description: dict[str, Any] = {}
     kinds_by_table = {slot: description_of(entry) for slot, entry in entries_named(name).items()}
@@ -326,9 +336,14 @@ def metric_description(metric: Metric) -> MetricDescription:
 
 
 def show_kind(name: str) -> None:
-    """Print what has a name: a law, a metric, kinds with their fields, and the kinds that have such a field.
+    """Print everything with a name: a law, a metric, kinds with their fields, and the kinds that have a field of this
+    name.
 
-    Arguments and errors are those of :func:`entries_named`.
+    Args:
+        name: The name, as for :func:`entries_named`.
+
+    Raises:
+        ConfigError: No kind, law, metric or field has the name.
     """
     entries = entries_named(name)
     if name in LAWS:
@@ -344,7 +359,7 @@ def show_kind(name: str) -> None:
 
 
 def show_rows(title: str, rows: Sequence[FieldRow]) -> None:
-    """Print rows of fields under a title, and a remark if they have units that depend on the plant."""
+    """Print rows of fields under a title; a remark follows if a unit depends on the plant."""
     show_paragraph(title)
     show_table(FieldRow._fields, rows)
     if any(depends_on_plant(row.unit) for row in rows):
@@ -352,5 +367,5 @@ def show_rows(title: str, rows: Sequence[FieldRow]) -> None:
 
 
 def depends_on_plant(unit: str) -> bool:
-    """Whether a unit contains y or u, so that two plants with different units give it different names."""
+    """Whether a unit contains y or u, the units of a plant's output and command, and so differs between plants."""
     return UNNAMED_UNITS.of(unit) != POSITION.of(unit)

@@ -84,10 +84,10 @@ def show_each_law(errors: LawErrors) -> None:
 
 
 def show_value_of_knowledge(errors: LawErrors) -> None:
-    """Print what it would be worth to know each number better, and the number's quantiles in draws that fail.
+    """Print the value of knowing each number better, and the number's quantiles in draws that fail.
 
-    The worth is the share of the variance of failure that the knowledge removes, and how often it changes the
-    decision.
+    The value is the share of the variance of failure that the knowledge removes, and the probability that the knowledge
+    changes the decision.
     """
     laws = sorted(errors.answer.by_law.items(), key=lambda item: removed_variance(item[1]), reverse=True)
     parts = 0
@@ -123,7 +123,12 @@ def removed_variance(law: LawError) -> float:
 
 
 def share_text(value: float, interval: tuple[float, float]) -> str:
-    """Format a share and its interval in per cent; the arguments are shares of 1."""
+    """Format a share and its interval in per cent.
+
+    Args:
+        value: The share, of 1.
+        interval: Lower and upper bound of the share, of 1.
+    """
     low, high = interval
     return f"{100 * value:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
 
@@ -141,7 +146,8 @@ def show_fresh_draws(answer: LawErrorsAnswer) -> None:
 
 
 def least_shift_first(law: LawError) -> tuple[float, float]:
-    """Return a law's key for sorting: the estimated admissible shift of its mean, then the one with confidence.
+    """Return a law's key for sorting: the estimated admissible shift of its mean, then the admissible shift with
+    confidence.
 
     An estimate of None means that no shift reaches the limit; such laws come last.
     """

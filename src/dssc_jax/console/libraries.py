@@ -24,7 +24,7 @@ class ParameterSummary(TypedDict):
         unit: Unit.
         meaning: Meaning.
         admissible: Interval of the admissible values.
-        default_admissible: Whether the default lies in this interval.
+        default_admissible: Whether the default lies in the interval.
     """
 
     default: float
@@ -39,12 +39,12 @@ class ControllerSummary(TypedDict):
 
     Args:
         sample_time: Period between two calls [s].
-        precision: Size of its numbers [bit].
+        precision: Size of the controller's numbers [bit].
         bytes: Size of the state of one flight [byte].
         parameters: Parameters by name.
         measured: Units of the measured signals, by name.
         telemetry: Units of the telemetry, by name.
-        samples_not_finite: Number of samples of a trial flight whose command is not finite.
+        samples_not_finite: Number of samples of a trial flight at which the command is not finite.
         without_effect: Parameters that change no command of a trial flight.
     """
 
@@ -101,7 +101,7 @@ def show_library(library: NativeLibrary, file: Path) -> None:
 
     Args:
         library: The library.
-        file: Its path, for these lines.
+        file: Path of the library, for these lines.
     """
     for name, summary in library_summary(library)["controllers"].items():
         memory = f"{summary['bytes']} bytes a flight"

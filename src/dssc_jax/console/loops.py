@@ -179,7 +179,10 @@ def factors_text(gains: Mapping[str, float], phases: Mapping[str, float]) -> str
 
 
 def has_linear_plant(study: Study | Described) -> bool:
-    """Whether a study's plant is declared linear, so that its margins are the same along the flight."""
+    """Whether a study's plant is declared linear, so that the margins are the same along the flight.
+
+    A study whose code is not loaded tells nothing, and counts as nonlinear.
+    """
     if isinstance(study, Described):
         return False
     plant = study.loop.plant
@@ -187,7 +190,7 @@ def has_linear_plant(study: Study | Described) -> bool:
 
 
 def no_margins_text(statistics: LoopStatistics, draws: int, least_draws: int, level: str) -> str:
-    """Tell why some draws have no margin at a break point, and whether a limit exists; empty if all have margins.
+    """Tell why some draws have no margin at a break point, and whether a limit exists; empty if all draws have margins.
 
     Args:
         statistics: Statistics of the break point.
@@ -206,7 +209,12 @@ def no_margins_text(statistics: LoopStatistics, draws: int, least_draws: int, le
 
 
 def margin_text(value: float, format_value: Callable[[float], str]) -> str:
-    """Format a margin by a function; a dash if it is infinite or NaN, as for a loop without margins."""
+    """Format a margin; a dash stands for an infinite margin, and for NaN, a loop without margins.
+
+    Args:
+        value: The margin.
+        format_value: Formats a finite margin.
+    """
     return format_value(value) if math.isfinite(value) else "-"
 
 
@@ -264,7 +272,7 @@ def worst_multiloop_text(commands: str, worst: MultiloopWorst, draws: int) -> st
 
 
 def growth_text(loop: LoopWorst) -> str:
-    """Tell how far the box of the laws may grow before a loop is unstable."""
+    """Tell by which factor the box of the laws may grow before a loop is unstable."""
     if loop.unstable:
         defect = "unstable" if loop.has_operating_point else "without an operating point within its limits"
         nearest = f"; {defect} from {loop.growth_found:.4g} times its size on, at {values_text(loop.unstable)}"

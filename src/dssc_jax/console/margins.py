@@ -25,12 +25,12 @@ MOST_DRAWS = 0.5
 
 
 def value_text(value: float | None, end: float, unit: str = "") -> str:
-    """Format a quantile of the critical values, and mark it if it lies outside the walk.
+    """Format a quantile of the critical values, and say so if it lies outside the walk.
 
     Args:
-        value: The quantile; None: before the start of the walk; equal to ``end``: at the end or beyond.
+        value: The quantile; None: it lies before the start of the walk; equal to ``end``: it lies there or beyond.
         end: End of the walk.
-        unit: Unit of both.
+        unit: Unit of the quantile and of the end.
     """
     if value is None:
         return "before the start"
@@ -39,7 +39,9 @@ def value_text(value: float | None, end: float, unit: str = "") -> str:
 
 
 def tolerance_text(limit: float | None, draws: int, end: float, unit: str = "") -> str:
-    """Format the lower tolerance limit of the critical values, or tell how many draws it would need.
+    """Format the lower tolerance limit of the critical values.
+
+    With too few draws there is no limit, and the text tells how many draws are needed.
 
     Args:
         limit: The limit; None: before the start of the walk.
@@ -125,7 +127,7 @@ def show_margin_contest(contest: MarginContest, files: list[Path]) -> None:
 def show_theory(assessment: Assessment, files: list[Path]) -> None:
     """Print local and simulated margins, predicted and simulated oscillations, and what Theorem 1 certifies.
 
-    Of the values of mu at which an oscillation is predicted, the first, the middle one and the last are printed.
+    An oscillation is predicted at several values of mu; only the first, the middle and the last value are printed.
 
     Args:
         assessment: The analysis.

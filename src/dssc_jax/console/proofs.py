@@ -34,7 +34,7 @@ def show_proof(summary: dict[str, Any], path: Path | None, remarks: Sequence[str
 
 
 def show_verdict(verdict: str, loop: dict[str, str]) -> None:
-    """Print the verdict on a certificate, and the loop that it is about.
+    """Print the verdict on a certificate, and the loop of the certificate.
 
     Args:
         verdict: The verdict in words.

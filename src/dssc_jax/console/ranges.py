@@ -8,7 +8,7 @@ from dssc_jax.console.terminal import show_files, show_line, show_paragraph, sho
 
 
 def show_ranges(ranges: LawRanges, files: list[Path]) -> None:
-    """Print the interval of the failure probability over all laws, and the laws with the lowest and the highest one.
+    """Print the interval of the failure probability over all laws, and the laws with its lowest and its highest value.
 
     Args:
         ranges: The analysis.

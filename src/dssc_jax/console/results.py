@@ -35,7 +35,7 @@ VERDICT_MARKS = {True: "yes", False: "no", None: "-"}
 
 
 def show_result(result: "Result") -> None:
-    """Print the failure probabilities of a run or a sweep with their intervals, what it cost, and its folder."""
+    """Print the failure probabilities of a run or a sweep with their intervals, the computing time, and the folder."""
     axes = result.study.axes
     show_required(result.study.name, [rule.text for rule in result.study.requirements])
     if result.has_equal_draws:
@@ -85,7 +85,7 @@ def show_times(result: "Result") -> None:
 
 
 def equal_draws_text(result: "Result") -> str:
-    """Tell that all draws are the same, that there is no interval therefore, and how to change it."""
+    """Tell that all draws are the same, so that an interval would mean nothing, and how to make the draws differ."""
     draws = result.study.config.draws
     remedy = "set draws = 1, or give uncertain numbers, disturbances or sensors their laws"
     text = f"nothing in the study is random, so all {draws} draws are the same, and there is no interval: {remedy}"
@@ -110,10 +110,10 @@ def design_effect_text(effect: "DesignEffect", draws: int) -> str:
 
 
 def show_paired_differences(result: "Result") -> None:
-    """Print how the failure probability of a short sweep over one axis differs from that at its first value.
+    """Print how the failure probability at each value of a sweep differs from that at the first value.
 
-    All values share the draws. Therefore the paired difference is sharper than the intervals at both values suggest.
-    Nothing is printed for other sweeps, and for draws that are not independent.
+    All values share the draws, so the paired difference is sharper than the intervals at both values suggest. Only a
+    sweep over one axis with few values and independent draws has such a table; for others nothing is printed.
     """
     axes = result.study.axes
     if len(axes) != 1 or not result.study.config.independent:
@@ -138,11 +138,11 @@ def show_figures(figures: list[Path]) -> None:
 
 
 def show_point(study: "Study", point: SummaryRow, draws_equal: bool) -> None:
-    """Print violations of each requirement and of pairs of them, early ends, and quantiles of the metrics.
+    """Print violations of each requirement and of pairs of requirements, early ends, and quantiles of the metrics.
 
     Args:
         study: The study.
-        point: Summary of its only point.
+        point: Summary of the point.
         draws_equal: Whether all draws are the same, so that intervals are left out.
     """
     probability_head = () if draws_equal else PROBABILITY_HEAD
@@ -164,9 +164,14 @@ def show_point(study: "Study", point: SummaryRow, draws_equal: bool) -> None:
 
 
 def requirement_rows(study: "Study", point: SummaryRow, draws_equal: bool) -> list[tuple[str, ...]]:
-    """One row for each requirement: how many draws violate it, alone and first, and the median time of violation [s].
+    """One row for each requirement: how many draws violate it, violate it alone, and violate it first.
 
-    Arguments as for :func:`show_point`.
+    The last cell is the median time of violation [s].
+
+    Args:
+        study: The study.
+        point: Summary of one point.
+        draws_equal: Whether all draws are the same.
     """
     rows = []
     for rule, requirement in zip(study.requirements, point["requirements"], strict=True):
@@ -180,7 +185,9 @@ def requirement_rows(study: "Study", point: SummaryRow, draws_equal: bool) -> li
 def overlap_rows(point: SummaryRow, draws_equal: bool) -> list[tuple[str, ...]]:
     """One row for each pair of requirements: how many draws violate both, and how many of these ran to their end.
 
-    Arguments as for :func:`show_point`.
+    Args:
+        point: Summary of one point.
+        draws_equal: Whether all draws are the same.
     """
     rows = []
     for pair in point["overlaps"]:
@@ -203,7 +210,7 @@ def metric_rows(study: "Study", point: SummaryRow, levels: list[str], draws_equa
     """One row for each metric: its quantiles at the levels, with intervals unless all draws are the same.
 
     Args:
-        study: The study, for the units.
+        study: The study, for the metrics and their units.
         point: Summary of a point.
         levels: Names of the quantiles in the summary, such as ``q50``.
         draws_equal: Whether all draws are the same.
@@ -220,9 +227,9 @@ def quantile_text(quantiles: SummaryRow, level: str, worst: float, with_interval
     """Format a quantile of a metric, with its interval if requested.
 
     Args:
-        quantiles: Quantiles and their intervals, by name; None means infinite.
+        quantiles: Quantiles and their intervals, by name; None stands for an infinite value.
         level: Name of the quantile, such as ``q50``.
-        worst: What draws without a value count as.
+        worst: Value that a draw without a value counts as.
         with_interval: Whether to add the interval; an infinite quantile never has one.
     """
     value = f"{quantile_value(quantiles, level, worst):.4g}"
@@ -236,7 +243,7 @@ def quantile_text(quantiles: SummaryRow, level: str, worst: float, with_interval
 def failure_cells(row: SummaryRow, draws: int, draws_equal: bool) -> tuple[str, ...]:
     """Cells with the number of failures, their probability and its interval.
 
-    Without failures, the upper bound takes the place of a probability of 0.
+    Without failures, the upper bound stands in place of the probability 0, as "<= BOUND".
 
     Args:
         row: Entry of a summary with the failures, their probability and its interval.
@@ -287,7 +294,12 @@ def show_points(result: "Result") -> None:
 
 
 def percent_text(percent: float, failures: int) -> str:
-    """Format the share of failures [%] at a point of the grid: "." without failures, and "<1" below 0.5 %."""
+    """Format the share of failures at a point of the grid: "." without failures, and "<1" below 0.5 %.
+
+    Args:
+        percent: Share of the draws that fail [%].
+        failures: Number of draws that fail.
+    """
     if failures == 0:
         return "."
     return "<1" if percent < 0.5 else f"{percent:.0f}"
@@ -300,7 +312,7 @@ def show_grid(result: "Result", axes: list[str]) -> None:
 
     Args:
         result: A sweep over two axes.
-        axes: Name of the axis along the rows, and of that along the columns.
+        axes: Name of the axis along the rows, and name of the axis along the columns.
     """
     down, across = axes
     down_values = np.asarray(result.study.axes[down])

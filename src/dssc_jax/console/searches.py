@@ -79,7 +79,7 @@ def show_verdict(verdict: Verdict, objective: ObjectiveAnswer) -> None:
 
 
 def verdict_rows(verdict: Verdict, objective: ObjectiveAnswer) -> list[tuple[str, str, str, str]]:
-    """Make the rows of a verdict's table: what is compared, at the start, at the result, and its limit."""
+    """Make the rows of a verdict's table: what is compared, its value at the start and at the result, and its limit."""
     name = f"{objective.aggregate} {objective.level:g}" if objective.aggregate == "cvar" else objective.aggregate
     start, result = verdict.objective
     rows = [(f"objective ({name})", objective_text(start), objective_text(result), "")]
@@ -163,7 +163,10 @@ def likelihood_text(likelihood: LikelihoodAnswer) -> str:
 
 
 def outcome_text(answer: FalsifiedAnswer) -> str:
-    """Tell whether a failure was found, the worst value of a requirement or how the draw ended, and the cost."""
+    """Tell whether a failure was found, how bad the worst draw is, and the cost of the search.
+
+    The worst draw is told by the worst value of a requirement, or by how the draw ended.
+    """
     worst = answer.worst
     if worst.worst_value is not None:
         value = f"{worst.worst_value} where {worst.worst_requirement} is required"

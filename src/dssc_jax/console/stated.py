@@ -8,7 +8,7 @@ from dssc_jax.statistics import rounded_probability
 
 
 def show_stated(errors: Iterable[StatedError]) -> None:
-    """Print the intervals of the failure probability for each stated amount; nothing if none is stated."""
+    """Print the intervals of the failure probability for each stated amount; print nothing if no amount is stated."""
     rows = []
     for error in errors:
         weighted = interval_text(error.weighted_interval) if error.weighted_interval else error.weights_refused

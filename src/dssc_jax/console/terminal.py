@@ -50,7 +50,9 @@ def show_head(name: str, text: str) -> None:
 def show_required(name: str, requirements: Sequence[str]) -> None:
     """Print the name of a study in bold, followed by its requirements.
 
-    A study without requirements requires that its draws stay finite.
+    Args:
+        name: Name of the study.
+        requirements: The requirements in words; empty: the draws need only stay finite.
     """
     show_head(name, f"required: {'; '.join(requirements) or STAYS_FINITE}")
 
@@ -66,7 +68,12 @@ def show_paragraph(text: str) -> None:
 
 
 def announce_compiling(study: "Study", quiet: bool) -> None:
-    """Print to standard error that the loop will be compiled, unless a program reads the output (``quiet``)."""
+    """Print to standard error that the loop will be compiled.
+
+    Args:
+        study: The study.
+        quiet: Whether a program reads the output; then nothing is printed.
+    """
     if not quiet:
         notify(f"{study.name}: compiling, which takes a few seconds if the cache does not have it")
 
@@ -75,17 +82,19 @@ def announce_compiling(study: "Study", quiet: bool) -> None:
 def progress_bar(
     study: "Study", quiet: bool, unit: str = "draws", early: str | Callable[[], str] = "", compiles: bool = True
 ) -> Iterator["ProgressCallback"]:
-    """Show a progress bar with the remaining time on standard error; with ``quiet`` only if that is a terminal.
+    """Show a progress bar with the remaining time on standard error.
+
+    With ``quiet``, the bar is shown only if standard error is a terminal.
 
     Args:
         study: The study that is computed.
         quiet: Whether a program reads the command's output.
         unit: What is counted, for the message if the work ends early.
-        early: Reason why the work may end early, or a function that returns it once the work has ended.
+        early: Reason why the work may end early, or a function that returns the reason once the work has ended.
         compiles: Whether the loop is compiled first.
 
     Yields:
-        The progress callback, to be called with the completed and the total count; None: the total is not known.
+        The progress callback, to be called with the completed and the total count; a total of None is not known.
     """
     console = errors()
     columns = (
@@ -103,7 +112,10 @@ def progress_bar(
     announced = False
 
     def advance(completed: int, total: int | None) -> None:
-        """Move the bar; the first call shows it."""
+        """Move the bar to ``completed`` of ``total`` steps; the first call shows it.
+
+        A total of None is unknown, and shows no share of the work.
+        """
         nonlocal latest, limit, announced
         if compiles and not announced:
             announce_compiling(study, quiet)
@@ -129,8 +141,8 @@ def progress_bar(
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
     """Print a plain table of text cells.
 
-    If the table is wider than the terminal, its widest column is folded where that is prose. Otherwise each row is
-    printed as a block of lines, so that no number is broken.
+    If the table is wider than the terminal, its widest column is folded, provided that this column is prose. Otherwise
+    each row is printed as a block of lines, so that no number is broken.
 
     Args:
         head: Names of the columns.
@@ -159,7 +171,7 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | 
 
 
 def is_prose(cells: Sequence[str]) -> bool:
-    """Whether a column may be folded: at least one cell has several parts, and most of them are words."""
+    """Whether a column may be folded: at least one of its cells has several parts, most of which are words."""
     for cell in cells:
         parts = cell.split()
         word_count = sum(part.isalpha() for part in parts)
@@ -171,7 +183,10 @@ def is_prose(cells: Sequence[str]) -> bool:
 def show_blocks(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None) -> None:
     """Print each row of a table as a block: the first cell in bold, and one line for each further cell.
 
-    Arguments as for :func:`show_table`.
+    Args:
+        head: Name of each column.
+        rows: Cells of each row.
+        title: Title above the blocks; None: no title.
     """
     if title is not None:
         show_paragraph(title)
@@ -198,7 +213,7 @@ class PairedDifference(Protocol):
 
     @property
     def difference(self) -> float:
-        """Compared number of a minus that of b."""
+        """Compared number of controller a minus that of controller b."""
         ...
 
     @property
@@ -235,7 +250,7 @@ def show_files(files: Sequence[Path]) -> None:
 
 
 def number_text(value: float | None, format_spec: str = ".3g", missing: str = "none") -> str:
-    """Format a number; ``missing`` if it is None, infinite or NaN."""
+    """Format a number; a number that is None, infinite or NaN becomes the text ``missing``."""
     if value is None or not math.isfinite(value):
         return missing
     return format(value, format_spec)

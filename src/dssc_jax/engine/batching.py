@@ -72,9 +72,9 @@ def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | Non
 
 
 def margins_in(study: Study, values: Mapping[str, Scalar]) -> dict[str, Scalar]:
-    """The required margins of the linearised loop, picked by name from the numbers of a lane.
+    """The required margins of the linearised loop, by name, among all numbers of a lane.
 
-    They are computed before the flight, so the lane receives them like its other numbers.
+    Margins are computed before the flight, so a lane receives them as inputs, like its other numbers.
     """
     return {name: values[name] for name in margins_of(study.measures)}
 
@@ -108,8 +108,9 @@ class Layout:
     def of(cls, study: Study, lanes: int = BLOCK) -> "Layout":
         """The grid of a study in blocks of at most ``lanes`` lanes.
 
-        A block takes all draws first, then as many points of the last swept parameter as fit, and so on. If the whole
-        grid fits, the block is longer than the draws, so that a run may get more draws later.
+        A block takes all draws first, then as many points of the last swept parameter as fit, then of the one before
+        it, and so on. If the whole grid fits, the block is longer than the draws, so that a run may get more draws
+        later.
         """
         shape = (*(len(values) for values in study.axes.values()), study.config.draws)
         reversed_block = []  # lengths along the draws, the last swept parameter, ..., the first
@@ -127,7 +128,7 @@ class Layout:
         return cls(tuple(entries["shape"]), tuple(entries["block"]))
 
     def to_dict(self) -> dict[str, list[int]]:
-        """For JSON."""
+        """The layout as plain data for JSON."""
         return {"shape": list(self.shape), "block": list(self.block)}
 
     @property
@@ -136,7 +137,7 @@ class Layout:
         return math.prod(map(min, self.shape, self.block))
 
     def index(self, block: Block) -> tuple[int, ...]:
-        """The number of a block along each dimension of the grid; of a part of a block, the number of that block."""
+        """The number of a block along each dimension of the grid; a part of a block has the number of its block."""
         return tuple(part.start // size for part, size in zip(block, self.block, strict=True))
 
     def blocks(self) -> list[Block]:
@@ -157,7 +158,7 @@ class Engine:
         lanes: Lanes of a batch; a smaller batch is padded.
         tile: Lanes of a tile, for the forms of XLA; None: chosen from the size of the batch.
         devices: Cores of a CPU, or GPUs, that share a batch; None: all.
-        clock: Its times and counts.
+        clock: Times and counts of the engine.
         program: Makes the program of a lane from the study.
         kernel: The form, see :func:`dssc_jax.engine.kernels.requested_form`.
         extra: Names of further numbers of each lane that the program needs.
@@ -315,10 +316,11 @@ def computing() -> JsonObject:
 def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
     """Compute blocks in turn, each in the background while the caller handles the previous block.
 
-    The first block starts when this function is called, not when the iterator is first read.
+    The first block starts when this function is called, and not when the iterator is first read.
 
     Returns:
-        An iterator over the blocks: block, results in its shape by name, and values of the laws for its draws.
+        An iterator over triples: block, results by name in the block's shape, and values of the laws for the block's
+        draws.
     """
     engine.compiled()  # a program that cannot be compiled fails here, before anything is drawn
 
@@ -369,7 +371,8 @@ def join_batches(batches: Sequence[Arrays]) -> Arrays:
 def is_noisy(engine: Engine) -> bool:
     """Whether the loop has in-loop noise, such as the noise of sensors.
 
-    It has if draws with equal numbers but other indices have other results: the index alone selects the noise.
+    The draw index alone selects the noise. So the loop is noisy if draws with equal numbers and different indices have
+    different results.
     """
     values = draw(engine.study, np.arange(PROBES) % engine.study.config.draws)
     results = evaluate(engine, values, np.arange(PROBES))
@@ -378,6 +381,6 @@ def is_noisy(engine: Engine) -> bool:
 
 
 def collect(block: Block, finish: Callable[[], Arrays], values: Arrays) -> tuple[Block, Arrays, Arrays]:
-    """Wait for a :data:`BlockRun`, and give its results the shape of the block."""
+    """Wait for the lanes of a :data:`BlockRun`, and give their results the shape of the block."""
     shape = shape_of(block)
     return block, {name: array.reshape(shape) for name, array in finish().items()}, values

@@ -1,6 +1,6 @@
 """Lanes as machine code.
 
-The user's cache remembers the signatures of compiled lanes, so that a lane which it knows is not even traced.
+The user's cache stores the signatures of compiled lanes, so that a lane in the cache is not even traced.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -62,7 +62,7 @@ class LaneBatch:
     def __init__(
         self, lane: Callable[..., Any], names: Sequence[str], cores: int | None, strict: bool, gpu: bool = False
     ) -> None:
-        """Compile the lane, in the precision that is in use."""
+        """Compile the lane, in the precision that is in use; the arguments are those of the class."""
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
         index = jax.ShapeDtypeStruct((), jnp.uint32)
         with gpu_errors():
@@ -72,8 +72,12 @@ class LaneBatch:
     def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], tuple[Any, float]]:
         """Start a batch; see :data:`dssc_jax.engine.kernels.Start`.
 
+        Args:
+            values: Numbers of each lane by name, shape (n,).
+            index: Draw index of each lane, shape (n,).
+
         Raises:
-            ConfigError: A GPU refuses the batch, such as for want of memory; the returned function raises it, too.
+            ConfigError: A GPU refuses the batch, such as for want of memory. The returned function may raise it, too.
         """
         with gpu_errors():
             finish = self._lanes.start_timed((values, index), len(index), self._threads)

@@ -36,7 +36,7 @@ class Derivative(NamedTuple):
 
     Args:
         of: Name of the metric or slack.
-        by: Name of the study's number with respect to which it is differentiated.
+        by: Name of the study's number by which the metric or slack is differentiated.
     """
 
     of: str
@@ -49,13 +49,13 @@ class Evaluator:
 
     Args:
         study: The study; its sweep is ignored.
-        extents: The numbers that have a value of their own in every lane, each with its lowest and highest value. Both
-            are checked like values of a sweep. The values replace the number's law.
-        lanes: Most lanes of a batch.
+        extents: Lowest and highest value of each number that is set separately in every lane. Both ends are checked
+            like values of a sweep. The values that lanes set replace the number's law.
+        lanes: Largest number of lanes of a batch.
 
     Raises:
-        ConfigError: A name is not a number of the loop, an end is not admissible, or values between are no whole
-            numbers where the loop needs them.
+        ConfigError: A name is not a number of the loop, an end is not admissible, or the loop needs whole numbers where
+            values between the ends are none.
     """
 
     study: Study
@@ -95,8 +95,8 @@ class Evaluator:
         Margins of the linearised loop are slow, so they are computed only for lanes that meet all other requirements.
 
         Args:
-            indices: As for :meth:`__call__`.
-            values: As for :meth:`__call__`.
+            indices: Draw index of each lane, shape (n,).
+            values: Value of every number with a law or in ``extents``, shape (n,) each.
         """
         margins = margins_of(self.swept.measures)
         if not margins:
@@ -166,7 +166,7 @@ def require_steps_in_any_order(study: Study, feature: str) -> None:
 
     Args:
         study: The study.
-        feature: The feature that needs it, for the message.
+        feature: The feature that needs such steps, for the message.
 
     Raises:
         ConfigError: The plant or a controller keeps its state outside of JAX.
@@ -183,11 +183,12 @@ class GradientEvaluator(Evaluator):
 
     The derivatives are additional results with keys of type :class:`Derivative`. Forward mode computes each lane once
     for each number, and its memory does not grow with the duration. Reverse mode takes one backward pass for each
-    metric and slack, however many numbers there are; it stores the state at about sqrt(steps) samples and recomputes
-    those between. Margins of the linearised loop are differentiated by central differences.
+    metric and slack, for any count of numbers. To save memory, it stores the state at about sqrt(steps) samples only,
+    and computes the samples between them again. Margins of the linearised loop are differentiated by central
+    differences.
 
     Args:
-        names: The numbers to differentiate by.
+        names: Dotted names of the numbers to differentiate by.
         reverse: Whether to use reverse mode.
 
     Reference:
@@ -211,8 +212,12 @@ class GradientEvaluator(Evaluator):
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
         """Results of each lane, as in :class:`Evaluator`, and their derivatives.
 
+        Args:
+            indices: Draw index of each lane, shape (n,).
+            values: Value of every number with a law or in ``extents``, shape (n,) each.
+
         Raises:
-            ConfigError: A controller is native code.
+            ConfigError: The plant or a controller is native code.
         """
         require_derivatives(self.swept)
         numbers = dict(values) | self.engine.margins(dict(values), indices)
@@ -231,7 +236,11 @@ class GradientEvaluator(Evaluator):
     def _flights(self, indices: np.ndarray, values: Arrays) -> Arrays:
         """Results and derivatives of the simulation, with the margins of the linearised loop as constants.
 
-        In forward mode all lanes run once for each number, first all for the first number, then all for the second.
+        In forward mode, all lanes run once for the first number, then once for the second, and so on.
+
+        Args:
+            indices: Draw index of each lane, shape (n,).
+            values: All numbers of each lane by name, shape (n,).
         """
         if self.reverse:
             return super().__call__(indices, values)
@@ -297,7 +306,7 @@ def metrics_and_slacks(
 def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, Scalar]) -> dict[Any, Scalar]:
     """Join results and derivatives in one pytree.
 
-    It is an OrderedDict, because JAX would sort the keys of a dict, and strings and derivatives have no order.
+    The pytree is an OrderedDict: JAX would sort the keys of a dict, but strings and derivatives cannot be ordered.
     """
     return OrderedDict([*results.items(), *slopes.items()])
 
@@ -305,7 +314,8 @@ def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, 
 def forward_mode(study: Study, names: Sequence[str]) -> Lane:
     """Return the program of a lane in forward mode.
 
-    It differentiates by the number that :data:`DIRECTION` selects among ``names``.
+    The program differentiates by one number; :data:`DIRECTION`, a further number of the lane, is its index in
+    ``names``.
     """
     plain = lane_of_study(study)
 
@@ -324,7 +334,11 @@ def forward_mode(study: Study, names: Sequence[str]) -> Lane:
 def reverse_mode(study: Study, names: Sequence[str]) -> Lane:
     """Return the program of a lane in reverse mode: one backward pass for each metric and slack.
 
-    Checkpoints about every sqrt(steps) samples keep its memory small.
+    Checkpoints about every sqrt(steps) samples keep the memory small.
+
+    Args:
+        study: The study.
+        names: Dotted names of the numbers to differentiate by.
     """
     plain = lane_of_study(study, axis_name=None, segment=math.isqrt(study.loop.steps))
 
@@ -347,7 +361,7 @@ def require_independent(study: Study, purpose: str) -> None:
 
     Args:
         study: The study.
-        purpose: What needs them, for the message.
+        purpose: What needs independent draws, for the message.
 
     Raises:
         ConfigError: The study's draws are points of a Sobol or Latin-hypercube design.

@@ -94,7 +94,7 @@ class IntegrationError(NamedTuple):
         return f"the integration between the samples is too coarse: {self.text}; {remedy}"
 
     def to_dict(self) -> JsonObject:
-        """For JSON; an infinite change is None."""
+        """The error as plain data for JSON, where None stands for an infinite change."""
         finite = self.change if np.isfinite(self.change) else None
         return self._asdict() | {"change": finite, "text": self.text, "warning": self.warning}
 
@@ -151,7 +151,13 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
 
 
 def results_with_substeps(study: Study, lanes: Lanes, substeps: int) -> Arrays:
-    """Results of n lanes of a study with another number of substeps, by name, shape (n,) each."""
+    """Results of n lanes of a study, simulated with another number of substeps, by name, shape (n,) each.
+
+    Args:
+        study: The study.
+        lanes: Indices of the lanes along each axis of the sweep and along the draws, shape (n,) each.
+        substeps: Number of steps of the integrator in a sample.
+    """
     *_, draws = lanes
     engine = Engine(replace(study, loop=replace(study.loop, substeps=substeps)), len(draws))
     values = lane_numbers(study, lanes)
@@ -161,13 +167,14 @@ def results_with_substeps(study: Study, lanes: Lanes, substeps: int) -> Arrays:
 def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, str]:
     """The largest change of a metric in shares of its scale, and the metric's name, empty if none changes.
 
-    Required metrics count, in shares of the scales of their requirements. Without requirements all metrics count, in
-    shares of their typical sizes. The change is infinite if a draw ends early with one number of substeps alone.
+    With requirements, the required metrics count, in shares of the requirements' scales. Without requirements, all
+    metrics count, in shares of their typical sizes. If a draw ends early with one number of substeps and not with the
+    other, the change is infinite.
 
     Args:
         study: The study.
-        coarse: Results of some lanes with the study's substeps.
-        fine: Results of the same lanes with twice the substeps.
+        coarse: Results of some lanes with the study's substeps, shape (n,) each.
+        fine: Results of the same lanes with twice the substeps, shape (n,) each.
     """
     scales = {requirement.measure.name: requirement.scale for requirement in study.requirements}
     if not scales:

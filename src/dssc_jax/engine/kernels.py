@@ -53,10 +53,10 @@ def requested_form(choice: str = "") -> str:
     """The form to use: the choice, else the environment's choice, else ``lanes`` on a CPU and ``scan`` on a GPU.
 
     Args:
-        choice: Name of a form; empty: no choice.
+        choice: Name of a form; empty: the environment variable :data:`KERNEL_VARIABLE` decides.
 
     Raises:
-        ConfigError: There is no such form, or the machine has no GPU for it.
+        ConfigError: There is no such form, or the form needs a GPU and the machine has none.
     """
     choice = choice or os.environ.get(KERNEL_VARIABLE, "")
     if not choice:
@@ -74,8 +74,11 @@ def requested_form(choice: str = "") -> str:
 def gpu_name(choice: str) -> str:
     """Name of the GPU that a form runs on.
 
+    Args:
+        choice: Name of the form, for the message.
+
     Raises:
-        ConfigError: The machine has none that can run lanes.
+        ConfigError: The machine has no GPU that can run lanes.
     """
     try:
         return driver().name

@@ -1,6 +1,6 @@
 """Batches of lanes by plain XLA: ``vmap`` over the lanes of a tile, tiles in sequence, and tiles over devices.
 
-This is the reference program, and the form for programs without machine code.
+The plain program is the reference, and the form for programs without machine code.
 """
 
 import math
@@ -47,7 +47,10 @@ class PlainBatch:
     def __init__(
         self, lane: Callable[..., Any], names: Sequence[str], lanes: int, tile: int | None, devices: int | None
     ) -> None:
-        """Divide the batch into tiles, as many for each device, and compile the program."""
+        """Divide the batch into tiles, the same number for each device, and compile the program.
+
+        The arguments are those of the class.
+        """
         usable = jax.devices()[:devices]
         share = math.ceil(lanes / len(usable))  # lanes of a device
         most = min(share, LANES) if usable[0].platform == "cpu" else share
@@ -75,19 +78,25 @@ class PlainBatch:
         shape = (self._tiles, self._tile)
 
         def as_tiles(column: np.ndarray, dtype: Any) -> np.ndarray:
-            """A number of each lane, shape (tiles, lanes of a tile); copies of the last lane fill the last tiles."""
+            """One number of all lanes, arranged in tiles, shape (tiles, lanes of a tile).
+
+            Copies of the last lane fill the last tiles.
+            """
             padding = self._tiles * self._tile - count
             return np.pad(column, (0, padding), mode="edge").astype(dtype).reshape(shape)
 
         def as_lanes(array: jax.Array) -> np.ndarray:
-            """The results of the batch's lanes, without those that fill the last tiles."""
+            """The results of the batch's lanes; lanes that only fill the last tiles are left out."""
             return np.asarray(array).reshape(-1, *array.shape[2:])[:count]
 
         columns = {name: as_tiles(column, self._real) for name, column in values.items()}
         tiled_results = self._run(columns, as_tiles(index, np.uint32))
 
         def finish() -> tuple[Any, float]:
-            """Wait for the batch; the time is an upper bound, because XLA does not report the end."""
+            """Wait for the batch, and return its results and the time at which it ended.
+
+            The time is an upper bound, because XLA does not report when it ends.
+            """
             return jax.tree.map(as_lanes, tiled_results), time.perf_counter()
 
         return finish

@@ -50,7 +50,8 @@ def require_values(study: Study, values: Values) -> None:
         values: Numbers by their dotted names.
 
     Raises:
-        ConfigError: A value is missing, a name has no value of its own in a trace, or JAX has another precision.
+        ConfigError: A value is missing, a name is not that of a number that a trace can set, or JAX has another
+            precision.
     """
     for name in (*study.axes, *study.laws):
         if name not in values:
@@ -78,6 +79,10 @@ def drawn_values(study: Study, indices: np.ndarray) -> Arrays:
     """Values of all uncertain and swept numbers in n draws, by name, shape (n,) each.
 
     A swept number has the first value of its sweep.
+
+    Args:
+        study: The study.
+        indices: Draw indices, shape (n,).
     """
     first_point = [np.zeros(len(indices), int)] * len(study.axes)
     return lane_numbers(study, (*first_point, indices))
@@ -85,7 +90,12 @@ def drawn_values(study: Study, indices: np.ndarray) -> Arrays:
 
 @dataclass(frozen=True, eq=False)
 class LaneFunction:
-    """The pure function of one draw, ``(values, index) -> results``; see :func:`lane`."""
+    """The pure function of one draw, ``(values, index) -> results``; see :func:`lane`.
+
+    Args:
+        study: The study.
+        compute: The program of a lane, without checks of its arguments.
+    """
 
     study: Study
     compute: Lane
@@ -94,9 +104,9 @@ class LaneFunction:
         """Metrics, slacks, outcome and time of the early end of one draw.
 
         Args:
-            values: The draw's numbers by dotted name: each uncertain or swept one, and any other that is to differ from
-                the study's. Expressions follow from these values. Quantities that a model computed from the study's
-                numbers before tracing keep their values; ``study.override`` computes them again.
+            values: The draw's numbers by dotted name: every uncertain or swept number, and any other number that
+                differs from the study's. Expressions follow from these values. Quantities that a model computed from
+                the study's numbers before tracing keep their values; ``study.override`` computes them again.
             index: Index of the draw, which selects its noise.
 
         Raises:
@@ -175,8 +185,11 @@ class Stepper:
 
         Every call computes the matrix exponentials of linear parts again.
 
+        Args:
+            state: The state before the sample.
+
         Returns:
-            The next state, and a record of this sample. It has the signals of each channel
+            The next state, and a record ``info`` of this sample. The record has the signals of each channel
             (``info.instant.channels``), the plant's outputs, the desired outputs, and inputs and outputs of the
             controllers (``info.controlled``). It also tells whether the state is still finite and the model valid.
         """
@@ -188,8 +201,9 @@ class Stepper:
 def lane(study: Study, segment: int | None = None) -> LaneFunction:
     """The pure function of one draw, ``lane(values, index) -> results``, for ``jit``, ``vmap`` and ``grad``.
 
-    ``lane.example`` are its arguments for the first draw, and ``lane.draws(n)`` those of n draws for ``vmap``.
-    Metrics and slacks are differentiable in every value. A draw that ends early has metrics NaN and slacks -inf.
+    ``lane.example`` gives the function's arguments for the first draw, and ``lane.draws(n)`` gives the arguments of n
+    draws for ``vmap``. Metrics and slacks are differentiable in every value. A draw that ends early has metrics NaN and
+    slacks -inf.
 
     Args:
         study: The study.
@@ -222,7 +236,10 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
 
 
 def stepper(study: Study) -> Stepper:
-    """The loop as ``init(values, key) -> state`` and ``step(state) -> (state, info)``, for a time loop of one's own.
+    """The loop as ``init(values, key) -> state`` and ``step(state) -> (state, info)``, for a user's own time loop.
+
+    Args:
+        study: The study.
 
     Raises:
         ConfigError: A part keeps its state outside of JAX.

@@ -50,7 +50,7 @@ class Agreement(NamedTuple):
 
     Args:
         deviation: Largest relative deviation of a value in each lane, shape (n,); infinite where outcomes differ.
-        variable: Name of that value, shape (n,).
+        variable: Name of the variable with the largest deviation in each lane, shape (n,).
         allowed: Deviation that rounding explains in each lane, shape (n,).
     """
 
@@ -60,15 +60,15 @@ class Agreement(NamedTuple):
 
     @property
     def decided(self) -> np.ndarray:
-        """Whether each lane is evidence, because rounding alone hardly changes it, shape (n,)."""
+        """Whether each lane is evidence, because rounding alone hardly changes the lane, shape (n,)."""
         return self.allowed <= UNDECIDED_BEYOND
 
     @property
     def verdict(self) -> str:
         """The verdict, a key of :data:`VERDICTS`.
 
-        ``differs``: rounding does not explain the deviation of a lane that is evidence. ``undecided``: no lane is
-        evidence. ``agrees``: all others.
+        It is ``differs`` if the deviation of a lane that is evidence exceeds what rounding explains, ``undecided`` if
+        no lane is evidence, and otherwise ``agrees``.
         """
         is_unexplained = self.decided & (self.deviation > self.allowed)
         if np.any(is_unexplained):
@@ -94,7 +94,15 @@ def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndar
 
 
 def recompute(study: Study, lanes: Lanes) -> Arrays:
-    """Compute every variable of a result at n lanes again by the plain program; by name, shape (n,) each."""
+    """Compute every variable of a result at n lanes again by the plain program.
+
+    Args:
+        study: The study.
+        lanes: Indices of the lanes along each axis of the sweep and along the draws, shape (n,) each.
+
+    Returns:
+        The variables by name, shape (n,) each.
+    """
     *_, draws = lanes
     values = lane_numbers(study, lanes)
     drawn = {name: values[name] for name in study.laws}
@@ -104,7 +112,14 @@ def recompute(study: Study, lanes: Lanes) -> Arrays:
 def perturbed_copies(study: Study, lanes: Lanes) -> list[Arrays]:
     """Results of :data:`COPIES` copies of n lanes by the plain program, with every number changed in its last bits.
 
-    Their differences tell how much the loop amplifies rounding.
+    The differences between the copies tell how much the loop amplifies rounding.
+
+    Args:
+        study: The study.
+        lanes: Indices of the lanes along each axis of the sweep and along the draws, shape (n,) each.
+
+    Returns:
+        The results of each copy by name, shape (n,) each.
     """
     *_, draws = lanes
     count = len(draws)
@@ -130,7 +145,12 @@ def perturbed_copies(study: Study, lanes: Lanes) -> list[Arrays]:
 def stored_lanes(dataset: xr.Dataset, names: Iterable[str], lanes: Lanes) -> Arrays:
     """Some variables of a stored result at n lanes, by name, shape (n,) each.
 
-    A drawn number is stored once for each draw, because it does not depend on the sweep.
+    A drawn number does not depend on the sweep, so the result stores it once for each draw.
+
+    Args:
+        dataset: The stored result.
+        names: Names of the variables.
+        lanes: Indices of the lanes along each axis of the sweep and along the draws, shape (n,) each.
     """
     *_, draws = lanes
     columns = {}
@@ -144,13 +164,13 @@ def stored_lanes(dataset: xr.Dataset, names: Iterable[str], lanes: Lanes) -> Arr
 def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping[str, np.ndarray]) -> Agreement:
     """Compare n lanes of a stored result with the values of another program.
 
-    Lanes that deviate by more than rounding alone explains run again in copies with changed last bits. These tell how
-    much of the deviation the loop's own amplification of rounding explains.
+    Lanes that deviate by more than rounding alone explains run again, in copies with changed last bits. The copies tell
+    how much of the deviation the loop explains by its own amplification of rounding.
 
     Args:
         study: The study.
-        dataset: The result.
-        lanes: The lanes.
+        dataset: The stored result.
+        lanes: Indices of the lanes along each axis of the sweep and along the draws, shape (n,) each.
         computed: Variables of the result by the other program, shape (n,) each.
     """
     stored_values = stored_lanes(dataset, computed, lanes)
@@ -181,7 +201,8 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
 def resting_metrics(study: Study, sizes: Mapping[str, float], spreads: Mapping[str, np.ndarray]) -> list[str]:
     """Names of the metrics that consist of rounding errors only, such as the error of a channel at rest.
 
-    Such a metric is far smaller than all others, whatever the units, and rounding changes it too much to be evidence.
+    Such a metric is far smaller than the largest metric, and rounding changes it too much for it to be evidence. Units
+    do not matter, because the ratio of the two sizes is extreme.
 
     Args:
         study: The study.
@@ -203,9 +224,9 @@ def deviations(
 ) -> Arrays:
     """Relative deviation of computed from stored variables, by name, shape (n,) each.
 
-    It is relative to the stored value or to the variable's typical size, whichever is larger. A difference of one
-    sample counts as none, because rounding can move an event by a sample. Two NaN are equal. The deviation is infinite
-    for different outcomes, and where only one of two values is finite.
+    It is relative to the stored value or to the variable's typical size, whichever is larger. Rounding can move an
+    event by one sample, so the change of a variable by one sample is subtracted. Two NaN are equal. The deviation is
+    infinite for different outcomes, and where only one of two values is finite.
 
     Args:
         study: The study.
@@ -231,7 +252,10 @@ def deviations(
 
 
 def sample_changes(study: Study) -> dict[str, float]:
-    """The change of each variable that counts samples if one sample is added, by name, in the variable's unit."""
+    """The change of each variable that counts samples if one sample is added, by name, in the variable's unit.
+
+    Times and shares of the time count samples. A little is added to each change for rounding.
+    """
     with_rounding = 1.0 + 1e-6
     period = with_rounding * study.loop.sample_time
     one_sample = {"s": period, "1": with_rounding * (1.0 / study.loop.steps)}  # by unit: a time, a share of the time

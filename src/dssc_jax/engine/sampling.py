@@ -29,7 +29,7 @@ SOBOL_BITS = 30  # of a coordinate; scipy's fast_forward knows words of 32 bits 
 
 
 def draw_key(seed: jax.Array | int, index: jax.Array | int) -> jax.Array:
-    """The random key of a draw, from which all its in-loop noise follows.
+    """The random key of a draw, from which all in-loop noise of the draw follows.
 
     Args:
         seed: The study's seed.
@@ -42,11 +42,17 @@ def draw_key(seed: jax.Array | int, index: jax.Array | int) -> jax.Array:
 def level_program() -> CompiledLanes:
     """Compile, once, the program that draws the level of an uncertain number.
 
-    It maps (seed, draw index, stream of the number) to a uniform random number in [0, 1).
+    The program maps (seed, draw index, stream of the number) to a uniform random number in [0, 1).
     """
 
     def level(seed: jax.Array, index: jax.Array, stream: jax.Array) -> jax.Array:
-        """The level of the number with this stream in one draw, float64."""
+        """The level of one number in one draw, uniform in [0, 1), float64.
+
+        Args:
+            seed: Seed of the study.
+            index: Index of the draw.
+            stream: The number's stream of random words.
+        """
         return jax.random.uniform(jax.random.fold_in(draw_key(seed, index), stream), dtype=jnp.float64)
 
     word = jax.ShapeDtypeStruct((), np.uint32)
@@ -69,23 +75,29 @@ def uniform(seed: int, streams: tuple[int, ...], indices: np.ndarray) -> np.ndar
 
 
 def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Points of the unit cube for the design ``random``: independent draws, shape (n, streams)."""
+    """Points of the unit cube for the design ``random``: independent draws, shape (n, streams).
+
+    Args:
+        study: The study, for its seed.
+        streams: The random stream of each uncertain number.
+        indices: Draw indices, shape (n,).
+    """
     return uniform(study.config.seed, streams, indices)
 
 
 def generator(*words: int) -> np.random.Generator:
-    """A random generator of NumPy; each tuple of words gives an independent one."""
+    """A random generator of NumPy that the words select; generators of different words are independent."""
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
 def sobol_points(dimension: int, start: int, end: int, words: Sequence[int]) -> np.ndarray:
-    """Points of a scrambled Sobol sequence, at cell centres.
+    """Points of a scrambled Sobol sequence, moved to the centres of their cells.
 
     Args:
         dimension: Number of coordinates.
         start: Index of the first point.
         end: Index behind the last point.
-        words: Words that the scrambling is drawn from.
+        words: Words that select the random scrambling.
 
     Returns:
         Shape (end - start, dimension).
@@ -103,7 +115,12 @@ def sobol_points(dimension: int, start: int, end: int, words: Sequence[int]) -> 
 def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
     """Points of the unit cube for the design ``sobol``, shape (n, streams).
 
-    Each replicate has a scrambled Sobol sequence of its own, and every R-th draw belongs to it.
+    Each of R replicates has its own scrambled Sobol sequence; draw i belongs to replicate i mod R.
+
+    Args:
+        study: The study, for its seed and replicates.
+        streams: The random stream of each uncertain number; only their count is used.
+        indices: Draw indices, shape (n,).
     """
     points = np.empty((len(indices), len(streams)))
     position, replicate = np.divmod(indices, study.config.replicates)
@@ -120,7 +137,14 @@ def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray
 def latin_design(seed: int, streams: tuple[int, ...], replicates: int, draws: int) -> np.ndarray:
     """All points of a study's Latin hypercubes, shape (draws, streams).
 
-    Each uncertain number has designs of one dimension, from its own stream, so that no other number changes them.
+    Each uncertain number has designs of one dimension from its own random stream, so that adding another number changes
+    none of its values.
+
+    Args:
+        seed: Seed of the study.
+        streams: The random stream of each uncertain number.
+        replicates: Number of independent hypercubes.
+        draws: Number of draws, a multiple of ``replicates``.
     """
     from scipy.stats import qmc
 
@@ -135,7 +159,12 @@ def latin_design(seed: int, streams: tuple[int, ...], replicates: int, draws: in
 def replicated_latin(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
     """Points of the unit cube for the design ``lhs``, shape (n, streams): one Latin hypercube for each replicate.
 
-    They depend on the study's number of draws.
+    The points of all draws change if the study's number of draws changes.
+
+    Args:
+        study: The study.
+        streams: The random stream of each uncertain number.
+        indices: Draw indices, shape (n,).
     """
     config = study.config
     return latin_design(config.seed, streams, config.replicates, config.draws)[indices]
@@ -169,14 +198,14 @@ def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
 
 
 def inside_cube(points: np.ndarray) -> np.ndarray:
-    """Points moved to the inside of the unit cube, because quantiles may be infinite on its faces."""
+    """Points moved to the inside of the unit cube, because a law's quantile may be infinite on a face of the cube."""
     return np.clip(points, OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL)
 
 
 def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
     """Values of the uncertain numbers at points of the unit cube.
 
-    A Gaussian copula correlates them: it mixes the scores, the standard normal quantiles of the coordinates.
+    A Gaussian copula correlates the coordinates: it mixes their scores, which are standard normal quantiles.
 
     Args:
         study: The study.
@@ -199,7 +228,7 @@ def values_at_levels(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
 
     Args:
         study: The study.
-        levels: A probability for each law, in which correlations are contained already, shape (n, laws).
+        levels: Level of each number in its law, in (0, 1), shape (n, laws); correlations are contained already.
     """
     values = {}
     for column, (name, law) in enumerate(study.laws.items()):
@@ -210,8 +239,8 @@ def values_at_levels(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
 def score_mixing_matrix(study: Study) -> np.ndarray:
     """The matrix M that correlates the laws' scores, shape (laws, laws).
 
-    For independent standard normal scores z, M z are the scores of the Gaussian copula: M is the Cholesky factor of its
-    correlation matrix.
+    M is the Cholesky factor of the copula's correlation matrix. If z are independent standard normal scores, M z are
+    scores of the Gaussian copula.
     """
     names = list(study.laws)
     matrix = np.eye(len(names))

@@ -16,8 +16,8 @@ from dssc_jax.study import Study
 def unread_numbers(study: Study) -> list[str]:
     """Names of the uncertain numbers of user-defined parts on which no result of a flight depends.
 
-    The traced program tells them, not values, so a limit that no flight reaches counts as read. A parameter from which
-    such a number follows may still have an effect elsewhere.
+    The traced program decides, and not values. So a limit that no flight reaches counts as read. A parameter that
+    follows from an unread number may still have an effect elsewhere.
     """
     slots = {function.part.partition(".")[0] for function in user_functions(study.loop).values()}
     if not slots or not study.laws:
@@ -25,9 +25,10 @@ def unread_numbers(study: Study) -> list[str]:
     is_read_by_name: dict[str, bool] = {}
 
     def record_reads(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
-        """Note in ``is_read_by_name`` which numbers the program of a lane reads; it is only traced, for that effect.
+        """Note in ``is_read_by_name`` which numbers the program of a lane reads; returns ``index`` unchanged.
 
-        JAX's elimination of dead code tells which inputs of a program have an effect on its results.
+        The function is only traced, for the sake of the note. JAX's elimination of dead code tells which inputs of the
+        lane's program have an effect on its results.
         """
         numbers, structure = jax.tree.flatten(study.params(values))
         uncertain = [position for position, number in enumerate(numbers) if not is_known(number)]

@@ -1,6 +1,6 @@
 """Pages to explore a study or a result: served to the browser, or as an object in a notebook.
 
-They need the extra ``explore`` (Panel and Bokeh), which no other layer imports.
+The pages need the extra ``explore`` (Panel and Bokeh), which no other layer imports.
 """
 
 from collections.abc import Sequence
@@ -40,20 +40,21 @@ def explore(
 ) -> "StudyPage | ResultPage":
     """Make a page on which the numbers of a study are moved, or the draws of a result are brushed and replayed.
 
-    When a number of a study moves, its failures, fans of signals and worst draw follow. A notebook shows the page as
-    the value of a cell. A program moves sliders by ``move``, and shows a result's draws by ``replay``.
+    When a number of a study moves, the study's failures, fans of signals and worst draw follow. A notebook shows the
+    page as the value of a cell. A program moves sliders by ``move``, and shows a result's draws by ``replay``.
 
     Args:
         subject: A study, or the result of a run or a sweep.
         sliders: For a study, dotted names of the numbers to move; None: the swept ones, gains, unmodelled dynamics and
             laws.
-        draws: For a study, number of draws; None: 1,000, for a vehicle 64.
-        logs: For a study, logged flights, see :func:`dssc_jax.read_log`. The page compares a single one with the draws,
-            see :func:`dssc_jax.compare_log`; of several it predicts the next one, see :func:`dssc_jax.next_flight`.
+        draws: For a study, number of draws; None: 1,000, or 64 for a vehicle.
+        logs: For a study, logged flights, see :func:`dssc_jax.read_log`. The page compares a single flight with the
+            draws, see :func:`dssc_jax.compare_log`; from several it predicts the next one, see
+            :func:`dssc_jax.next_flight`.
 
     Returns:
-        The page. That of a study has ``move({name: value})``, ``now`` (the run that is shown), ``before`` and
-        ``save_as(name)``; that of a result has ``replay(row)``, ``flight`` and ``pin_draw()``.
+        The page. The page of a study has ``move({name: value})``, ``now`` (the run that is shown), ``before`` and
+        ``save_as(name)``. The page of a result has ``replay(row)``, ``flight`` and ``pin_draw()``.
 
     Raises:
         ConfigError: The extra is not installed, a number cannot be moved, the number of draws is not admissible, or an

@@ -52,7 +52,7 @@ def margin_question(slider: Slider, position: float) -> Question[str]:
     """
 
     def answer(run: LiveRun, check: Callable[..., None]) -> str:
-        """Find the margins in both directions; none in the direction of an end at which the number already is."""
+        """Find the margins in both directions; a number that is already at an end has none in this direction."""
         answers = []
         for direction, end in (("upwards", slider.high), ("downwards", slider.low)):
             if end != position:
@@ -67,14 +67,19 @@ def law_range_question(study: Study) -> Question[str]:
     """Return the question for the failure probability over all laws within the ranges of a study."""
 
     def answer(_: LiveRun, check: Callable[..., None]) -> str:
-        """Find the probability; the run is not needed, because its laws are single ones."""
+        """Find the probability over the laws' ranges.
+
+        The run has single laws in place of the ranges, so it is not used; the question starts from the study.
+        """
         return law_ranges(study, progress=check).headline
 
     return answer
 
 
 def proof(run: LiveRun, check: Callable[..., None]) -> str:
-    """Answer whether the sampled loop is proved, for all plants, or all vehicles and winds, within their bounds.
+    """Answer whether the sampled loop is proved.
+
+    A proof covers all plants, or all vehicles and winds, within their bounds.
 
     Args:
         run: The run, whose study is proved.
@@ -94,7 +99,7 @@ def proof(run: LiveRun, check: Callable[..., None]) -> str:
 
 
 def save_study(live_run: LiveRun, folder: Path, name: str) -> Path:
-    """Write the study of a run to a new file, and return its path.
+    """Write the study of a run to a new file, and return the file's path.
 
     Args:
         live_run: The run.

@@ -42,7 +42,11 @@ AXIS_NAMES = ("x", "y")
 
 
 def draw_source(table: DrawTable) -> ColumnDataSource:
-    """Make the data source of the draws: their columns, whether they failed, their indices, and the scatter's axes."""
+    """Make the data source of the draws, with one row for each draw.
+
+    Its columns are the numbers and metrics of the table, whether a draw failed, the draw's index, and the two axes of
+    the scatter.
+    """
     columns = {name: values.astype(np.float32) for name, values in table.columns.items()}
     data = {**columns, "failed": table.failed.astype(np.uint8), "draw": table.draw.astype(np.int32)}
     for axis, name in zip(AXIS_NAMES, table.first_axes, strict=True):
@@ -134,7 +138,7 @@ class Brushing:
 
         Args:
             axis: The axis, x or y.
-            label: Name and unit of its values.
+            label: Name and unit of the values on the axis.
         """
         plot = figure(width=500, height=270, tools="", x_axis_label=label, y_axis_label="draws")
         bars = self.bars[axis]
@@ -144,7 +148,10 @@ class Brushing:
         return plot
 
     def _histogram(self, name: str) -> dict[str, Any]:
-        """Count the values of a column of the table in bins, for a histogram while no draw is brushed."""
+        """Count the values of a column of the table in bins.
+
+        The histogram shows these counts as long as no draw is brushed.
+        """
         values = self.table.columns[name]
         finite = np.isfinite(values)
         counts, edges = np.histogram(values[finite], BINS)
@@ -238,6 +245,11 @@ class Brushing:
 
 
 def pixel(colour: str, alpha: float) -> int:
-    """Convert a colour such as ``#0072B2`` and an opacity from 0 to 1 to a pixel: bytes red, green, blue, opacity."""
+    """Convert a colour and an opacity to a pixel: four bytes red, green, blue, opacity, the lowest first.
+
+    Args:
+        colour: The colour, such as ``#0072B2``.
+        alpha: The opacity, from 0 to 1.
+    """
     red, green, blue = bytes.fromhex(colour[1:])
     return int.from_bytes(bytes((red, green, blue, round(255 * alpha))), "little")

@@ -42,8 +42,8 @@ def point_columns(failed: np.ndarray) -> dict[str, Any]:
 class CellMap:
     """The failures at the points of a sweep: over one axis as a curve with intervals, over two axes as a map.
 
-    The values of an axis ascend, in whichever order the study lists them. Draws at all values of further axes are
-    counted together, and the title says so.
+    The values of an axis ascend, in whichever order the study lists them. If the sweep has further axes, the draws at
+    all of their values are counted together, and the title says so.
 
     Args:
         table: The draws of a sweep.
@@ -52,7 +52,7 @@ class CellMap:
     """
 
     def __init__(self, table: DrawTable, source: ColumnDataSource, script: str) -> None:
-        """Count the failures at each point, and make the figure."""
+        """Count the failures at each point, and make the figure; the arguments are those of the class."""
         axes = table.result.study.axes
         self.names = list(axes)[:2]
         pooled_axes = list(axes)[2:]

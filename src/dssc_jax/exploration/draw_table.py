@@ -16,7 +16,7 @@ MOST_ROWS = 100_000
 
 @dataclass(frozen=True)
 class DrawTable:
-    """The draws of a result at all points of the sweep, one row for each.
+    """The draws of a result at all points of the sweep, one row for each draw and point.
 
     Args:
         result: The result.
@@ -72,7 +72,7 @@ class DrawTable:
     def first_axes(self) -> tuple[str, str]:
         """Columns that the axes x and y show at first: a swept or drawn number, and the headline metric.
 
-        Without such a number, both are the metric.
+        If the study has no swept or drawn number, both axes show the metric.
         """
         numbers = [*self.result.study.axes, *self.result.study.laws]
         metric = headline_measure(self.result.study).name

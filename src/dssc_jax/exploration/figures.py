@@ -97,11 +97,17 @@ class FanFigure:
     Args:
         study: The study, for the unit and the meaning of the signal.
         name: Name of the signal.
-        x_range: Time axis of another figure that moves together with this one; None: an axis of its own.
+        x_range: Time axis of another figure that moves together with this one; None: a new time axis.
     """
 
     def __init__(self, study: Study, name: str, x_range: Range | None = None) -> None:
-        """Make the figure, without a run."""
+        """Make the figure, without a run.
+
+        Args:
+            study: The study, for the meaning and unit of the signal.
+            name: Name of the signal.
+            x_range: Range of the time axis that several figures share; None: a new one.
+        """
         self.name = name
         self._outlined: LiveRun | None = None  # the run whose outline is shown
         self.current = ColumnDataSource()
@@ -170,7 +176,7 @@ class PathFigure:
         self.figure.line("across", "upward", source=self.path, color=RED, line_width=2)
 
     def show_draw(self, run: LiveRun, draw: int) -> None:
-        """Show the path in one draw of a run."""
+        """Show the desired and the flown path of one draw of a run."""
         for source, signal in ((self.path, "y"), (self.desired, "y_ref")):
             across, upward = self.channels
             source.data = {
@@ -263,7 +269,12 @@ class ProbabilityFigure:
         self.figure.toolbar_location = None
 
     def show(self, run: LiveRun, previous: LiveRun | None) -> None:
-        """Show a run, and the previous run for comparison; None: there is no other run."""
+        """Show a run beside the previous run.
+
+        Args:
+            run: The run.
+            previous: The previous run; None: there is none.
+        """
         runs = {"now": run}
         colours = [BLUE]
         if previous is not None:
@@ -281,7 +292,7 @@ class ProbabilityFigure:
 def path_views(study: Study) -> Sequence[tuple[str, str]]:
     """Return the two channels of each view of a vehicle's path, from above and from the side.
 
-    There is no view if the study has no channels x, y and z.
+    A study without the channels x, y and z has no view.
     """
     has_path = {"x", "y", "z"} <= set(study.loop.channels)
     return (("x", "y"), ("x", "z")) if has_path else ()

@@ -175,7 +175,7 @@ def recorded_flights(study: Study, flights: Sequence[xr.Dataset]) -> LiveRun:
 
 
 def usual_range(values: np.ndarray) -> tuple[float, float]:
-    """Return the ends of the range of nearly all positions along an axis [m]; 0 and 0 if none is finite."""
+    """Return the ends of the range of nearly all positions along an axis [m]; 0 and 0 if no position is finite."""
     finite_values = values[np.isfinite(values)]
     if not finite_values.size:
         return 0.0, 0.0
@@ -186,7 +186,7 @@ def usual_range(values: np.ndarray) -> tuple[float, float]:
 def failure_sample(run: LiveRun, draw: int) -> int:
     """Return the index of the sample at which a draw fails: its early end or its first violation; -1 if it passes.
 
-    It is at most the last sample at which the position is finite.
+    The index is at most that of the last sample with a finite position, so that the view can show the vehicle there.
     """
     if not run.failed[draw]:
         return -1
@@ -206,7 +206,7 @@ def floor_lines(centre: list[float], height: float, span: float) -> dict[str, An
     Args:
         centre: Centre of the flights [m], shape (3,).
         height: Height of the grid [m].
-        span: Scale of the view [m], in proportion to which the grid extends.
+        span: Scale of the view [m]; the extent of the grid is proportional to it.
     """
     half = 1.2 * span
     x_ends = [centre[0] - half, centre[0] + half]

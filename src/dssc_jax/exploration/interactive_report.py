@@ -67,10 +67,10 @@ def interactive_html(result: Result | Analysis) -> str:
 
 
 def standalone_page(title: str, page: LayoutDOM) -> str:
-    """Return an HTML page with a layout of Bokeh and all its scripts, so that it needs no network.
+    """Return an HTML page that contains a layout of Bokeh and all scripts of Bokeh, and needs no network.
 
     Args:
-        title: Title of the page, which is escaped.
+        title: Title of the page, in plain text.
         page: The layout.
     """
     script, place = components(page)

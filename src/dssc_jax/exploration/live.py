@@ -45,7 +45,7 @@ PROGRAMS = 6
 
 
 def ignore_notice(text: str) -> None:
-    """Do nothing with a description of the work."""
+    """Do nothing with a description of the work: the notice of a caller who wants none."""
 
 
 Notice: TypeAlias = Callable[[str], None]
@@ -69,9 +69,9 @@ class LiveRun:
     """A run of all draws of a study at one position of its sliders.
 
     Args:
-        study: The study at that position, without a sweep, which reproduces this run.
+        study: The study at that position, without a sweep. A run of this study gives the same results.
         results: Metrics, slacks, outcome and signals of all draws, by name.
-        values: Drawn values of the uncertain numbers, by name.
+        values: Drawn values of the uncertain numbers, by name, shape (draws,) each.
         times: Times of the signals' samples [s], shape (samples,).
     """
 
@@ -118,7 +118,10 @@ class LiveRun:
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Indices of the draws from the worst to the best, by smallest slack; among equals an early end comes first."""
+        """Indices of the draws from the worst to the best, by smallest slack.
+
+        Of draws with equal slack, the one that ended earlier comes first.
+        """
         end_times = np.nan_to_num(self.results["failed_at"], nan=np.inf)  # NaN: the draw ran to its end
         return np.lexsort((end_times, self.slack))
 
@@ -126,7 +129,7 @@ class LiveRun:
     def slack(self) -> np.ndarray:
         """Smallest relative slack of each draw, shape (draws,).
 
-        Without requirements it is minus the largest |error|, and -inf for a draw that ended early.
+        Without requirements, it is minus the largest |error|, or -inf for a draw that ended early.
         """
         if self.study.requirements:
             return worst_slack(self.study.requirements, self.results)
@@ -162,17 +165,20 @@ class LiveRun:
 
 
 def usual_draws(study: Study) -> int:
-    """Return the number of draws of a page: fewer for a vehicle, the study's if its draws are points of a design."""
+    """Return the number of draws of a page; it is smaller for a vehicle.
+
+    If the study's draws are points of a design, the page keeps the study's number.
+    """
     if not study.config.independent:
         return study.config.draws
     return VEHICLE_DRAWS if len(study.loop.channels) > 1 else DRAWS
 
 
 class LiveStudy:
-    """A study with sliders, compiled for all of their positions.
+    """A study with sliders, compiled for all positions of the sliders.
 
-    It holds three forms of the study, all with the page's number of draws: ``swept`` has its sweep, ``ranged`` has no
-    sweep, and ``base`` also has single laws in the middle of each range of laws.
+    The object holds three forms of the study, all with the page's number of draws: ``swept`` has its sweep, ``ranged``
+    has no sweep, and ``base`` has no sweep and, in place of each range of laws, the single law in its middle.
 
     Args:
         study: The study.
@@ -195,14 +201,17 @@ class LiveStudy:
 
     @property
     def start(self) -> dict[Slider, float]:
-        """Positions that describe the study itself; a swept number is at its own value, or at its law's median."""
+        """The position of each slider that describes the study itself.
+
+        A swept number starts at its value outside of the sweep, or at the median of its law.
+        """
         return {slider: slider.start for slider in self.sliders}
 
     def study_at(self, positions: Positions) -> Study:
         """Return the study at positions of the sliders.
 
         Raises:
-            ConfigError: The study is not valid there; the message names the number and gives the rule.
+            ConfigError: The study is not valid at these positions; the message names the number and gives the rule.
         """
         return self.base.override(study_changes(self.swept, positions))
 
@@ -210,7 +219,7 @@ class LiveStudy:
         """Return the study at positions of the sliders, in which arguments of laws are still ranges.
 
         Raises:
-            ConfigError: The study is not valid there.
+            ConfigError: The study is not valid at these positions.
         """
         return self.study_at(positions).with_laws(self.ranged.ranged_laws)
 
@@ -219,14 +228,14 @@ class LiveStudy:
 
         Args:
             positions: Position of each slider.
-            stale: Whether a newer request has come; asked after each batch of draws.
-            progress: Called with a description of the work, once it takes longer than :data:`QUIET_SECONDS`.
+            stale: Returns whether a newer request has come; called after each batch of draws.
+            progress: Called with a description of the work, once the work takes longer than :data:`QUIET_SECONDS`.
 
         Returns:
             The run; None if a newer request has made it stale.
 
         Raises:
-            ConfigError: The study is not valid there.
+            ConfigError: The study is not valid at these positions.
         """
         study = self.study_at(positions)
         program = self._program(study, progress)
@@ -255,7 +264,9 @@ class LiveStudy:
         _ = self.first_run
 
     def _program(self, study: Study, progress: Notice) -> RecordedDraws:
-        """Return the program for a study's sample time; it is compiled if it is not among those kept.
+        """Return the program for a study's sample time, and compile it if no kept program has this sample time.
+
+        The sample time is fixed in a program, and all other positions are inputs of it.
 
         Args:
             study: The study at positions of the sliders.
@@ -288,9 +299,9 @@ def has_vehicle(study: Study) -> bool:
 
 
 def recorded_signals(study: Study) -> list[str]:
-    """Return names of the signals that a page records: output, its reference, error and command of each channel.
+    """Return names of the signals that a page records: output, reference, error and command of each channel.
 
-    Of a vehicle, the attitude is recorded, too.
+    For a vehicle, the attitude is recorded, too.
     """
     signals = []
     for channel in study.loop.channels:

@@ -33,7 +33,9 @@ th, td {{ text-align: left; font-weight: 400; padding: 2px 16px 2px 0; vertical-
 
 
 class LoggedFlights:
-    """The card that compares several flights with the draws and predicts the next, or compares a single flight.
+    """The card about logged flights.
+
+    It compares a single flight with the draws, or compares several flights with the draws and predicts the next one.
 
     Args:
         logs: The flights, at least one.

@@ -33,8 +33,8 @@ class Page(ABC):
     """A page for the browser, a notebook or a program.
 
     Args:
-        background: Whether tasks run in threads, in which a newer task replaces an older one, as on a served page. If
-            not, a change of the page returns when its task is done.
+        background: Whether tasks run in threads, as on a served page, where a newer task replaces an older one. Without
+            threads, a change of the page returns when its task is done.
     """
 
     def __init__(self, background: bool = False) -> None:
@@ -72,7 +72,7 @@ class Page(ABC):
         run_or_submit(task, self._worker)
 
     def run_second_task(self, task: Work) -> None:
-        """Run a task in a second thread, so that it does not delay those of :meth:`run_task`."""
+        """Run a task in a second thread, so that tasks of :meth:`run_task` do not wait for it."""
         run_or_submit(task, self._second_worker)
 
     def show_later(self, compute: Callable[[], Answer], show: Callable[[Answer], None]) -> None:
@@ -98,8 +98,8 @@ class Page(ABC):
 
         Args:
             change: Function that changes the page.
-            arguments: Its arguments.
-            options: Its keyword arguments.
+            arguments: Positional arguments of the function.
+            options: Keyword arguments of the function.
         """
         if self._document is None:
             change(*arguments, **options)
@@ -122,7 +122,7 @@ class Page(ABC):
         self.status.object = markup(h.p(".error", role="alert")[text])
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until no task is running, at most for a timeout [s]; return whether none is.
+        """Wait until no task is running, and return whether that is so; after a timeout, a task may still run.
 
         Args:
             timeout: Longest time to wait for each thread [s]; None: no limit.
@@ -137,7 +137,14 @@ class Page(ABC):
 
 
 def run_or_submit(task: Work, worker: Worker | None) -> None:
-    """Submit a task to a worker; without a worker, run it at once."""
+    """Run a task in a worker's thread; without a worker, run it at once.
+
+    A task that runs at once never becomes stale.
+
+    Args:
+        task: The task.
+        worker: The worker; None: there is none.
+    """
     if worker is None:
         task(never_stale)
     else:

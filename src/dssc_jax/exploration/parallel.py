@@ -40,7 +40,10 @@ class ParallelAxes:
     """
 
     def __init__(self, table: DrawTable, source: ColumnDataSource, script: str, colours: dict[str, list[int]]) -> None:
-        """Choose the columns with an axis, and make the figure."""
+        """Choose the columns that get an axis, and make the figure.
+
+        The page paints the lines as soon as it has its layout.
+        """
         self.names = parallel_columns(table)
         ends = [finite_ends(table.columns[name]) for name in self.names]
         width = len(self.names) - 1 + LEFT + RIGHT
@@ -63,7 +66,7 @@ class ParallelAxes:
         self.figure.js_on_event(SelectionGeometry, select)
 
     def _figure(self, table: DrawTable, ends: list[tuple[float, float]], width: float, height: float) -> figure:
-        """Make the axes with their names, and the values at their ends.
+        """Make the axes, with their names and the values at their ends.
 
         Args:
             table: The draws.
@@ -104,7 +107,7 @@ class ParallelAxes:
 def fitting_label(label: str) -> str:
     """Break a label into lines that fit below an axis, with the unit in the last line.
 
-    A long dotted name loses its first parts, but an index keeps the part before it: ``inertia.0``.
+    A dotted name that is too long loses its first parts. An index keeps the part before it: ``inertia.0``.
 
     Args:
         label: Name of a column, and its unit after a space.
@@ -129,7 +132,7 @@ def fitting_label(label: str) -> str:
 def parallel_columns(table: DrawTable) -> list[str]:
     """Return the columns with an axis: swept and drawn numbers, then metrics, with the headline metric last.
 
-    If there are more than :data:`MOST_AXES`, those in the middle are left out.
+    If there are more than :data:`MOST_AXES` columns, the last ones before the headline metric are left out.
     """
     number, metric = table.first_axes
     middle = [name for name in table.columns if name not in (number, metric)]
@@ -139,7 +142,7 @@ def parallel_columns(table: DrawTable) -> list[str]:
 def finite_ends(values: np.ndarray) -> tuple[float, float]:
     """Return the smallest and the largest finite value, as the ends of an axis.
 
-    If they are equal, the ends lie 0.5 below and above; without finite values they are -0.5 and 0.5.
+    If both are equal, the ends lie 0.5 below and above them. Without finite values the ends are -0.5 and 0.5.
     """
     finite = values[np.isfinite(values)]
     if not finite.size:

@@ -49,9 +49,9 @@ def study_changes(study: Study, positions: Positions) -> dict[str, Change]:
 
 
 def changed_law(name: str, law: Law, parts: Mapping[str, float]) -> dict[str, list[float]] | None:
-    """Return the table of a law at positions of its sliders; None if the sliders are at their start.
+    """Return the table of a law at positions of its sliders; None if all of its sliders are at their start.
 
-    The table of a law with ranges is returned in any case.
+    A law with ranges always gives a table, which has single arguments in place of the ranges.
 
     Args:
         name: Dotted name of the number, for messages.
@@ -59,7 +59,7 @@ def changed_law(name: str, law: Law, parts: Mapping[str, float]) -> dict[str, li
         parts: Positions by part, see :attr:`Slider.part`.
 
     Raises:
-        ConfigError: The law cannot be moved there.
+        ConfigError: The law cannot be moved to these positions.
     """
     if isinstance(law, RangedLaw):
         names = LAWS[law.kind].argument_names
@@ -81,8 +81,8 @@ def changed_law(name: str, law: Law, parts: Mapping[str, float]) -> dict[str, li
 def slider_positions(slider: Slider) -> tuple[float, ...]:
     """Return the positions of a slider in increasing order.
 
-    The ends and the start are exact, the others are rounded to four significant digits. No two positions have the same
-    :func:`position_text`.
+    The ends and the start are exact, and the other positions are rounded to four significant digits. No two positions
+    have the same :func:`position_text`.
     """
     if slider.steps:
         return slider.steps

@@ -117,7 +117,7 @@ class ResultPage(Page):
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Rows from the worst to the best, by smallest slack; among equals an early end comes first."""
+        """Rows from the worst to the best, by smallest slack; of rows with equal slack, the earlier end comes first."""
         requirements = self.result.study.requirements
         lanes = {}
         for name in ("outcome", "failed_at", *(requirement.name for requirement in requirements)):
@@ -141,7 +141,7 @@ class ResultPage(Page):
         Args:
             attr: Name of the changed property; the arguments are those of Bokeh's callbacks.
             old: Data of ``clicked_row`` before the click.
-            new: Its data after the click; without a row, no draw was clicked.
+            new: Data of ``clicked_row`` after the click; without a row, no draw was clicked.
         """
         if len(new["row"]):
             self.replay(int(new["row"][0]))
@@ -161,8 +161,8 @@ class ResultPage(Page):
         """Simulate a draw, show it unless a newer click has come, and then compare it with the stored draw.
 
         Args:
-            row: Row of the draw.
-            stale: Whether a newer click has come.
+            row: Row of the draw in the table.
+            stale: Returns whether a newer click has come.
         """
         try:
             flight = self._record(int(self.table.draw[row]), self.table.point(row))
@@ -176,10 +176,14 @@ class ResultPage(Page):
                 self.run_second_task(partial(self._compare, flight))
 
     def _compare(self, flight: xr.Dataset, stale: Stale) -> None:
-        """Compare a flight with the stored draw, and show whether they agree unless a newer click has come.
+        """Compare a flight with the stored draw, and show whether they agree, unless a newer click has come.
 
-        This is a task of the second thread, because it may take long: a draw whose outcome rounding decides is
-        simulated once more, by a program that compiles slowly.
+        The comparison is a task of the second thread, because it may take long: if rounding decides the draw's outcome,
+        the draw is simulated once more, by a program that compiles slowly.
+
+        Args:
+            flight: The simulated draw.
+            stale: Returns whether a newer click has come.
         """
         flight.attrs["agreement"] = agreement_of(self.result, flight).verdict
         if not stale():
@@ -207,7 +211,7 @@ class ResultPage(Page):
     def pin_draw(self) -> None:
         """Pin the present flight, so that it stays when another draw is replayed.
 
-        Nothing happens if all colours but the present flight's are taken.
+        Each pinned flight has its own colour. Nothing happens if only the colour of the present flight is left.
         """
         most_pinned = len(COLOURS) - 1
         if self.flight is not None and len(self.pinned) < most_pinned:

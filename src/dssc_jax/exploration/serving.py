@@ -1,7 +1,7 @@
 """Serve a page to the browser of this machine: at 127.0.0.1 only, under a path that nobody can guess.
 
-The server of Panel has more addresses than the page needs; one of them imports any Python module that a request names.
-Therefore a gate in front of it admits the requests of the page, and answers all others with "not found".
+Panel's server has more addresses than the page needs. One of them imports any Python module that a request names.
+Therefore a gate before the server admits the requests of the page, and answers all others with "not found".
 """
 
 import html
@@ -52,11 +52,14 @@ LARGEST_MESSAGE = 64 * 2**20
 
 
 class Refused(Matcher):
-    """Matches all requests that the page does not need.
+    """Matches all requests that the page does not need, so that a handler can refuse them.
 
-    A request that the page needs only reads. It names this machine as its host. Its path begins with the token and
-    leads to the page, its websocket, a script or a style. If it names an origin, as a websocket must, the origin is
-    this server.
+    A request that the page needs meets four conditions:
+
+    1. The request only reads.
+    2. The header Host names this machine.
+    3. The path begins with the token, and leads to the page, the page's websocket, a script or a style.
+    4. If the request names an origin, as a websocket must, the origin is this server.
 
     Args:
         token: The secret first part of the path.
@@ -99,7 +102,7 @@ class NotFound(RequestHandler):
     """Answers every request with "not found"."""
 
     def prepare(self) -> None:
-        """Answer the request before its method is looked at."""
+        """Answer the request with 404 before Tornado looks at its method."""
         self.set_status(404)
         self.finish()
 
@@ -107,7 +110,7 @@ class NotFound(RequestHandler):
 class PageServer:
     """A server of one page. Each tab of the browser has its own session, which ends when the tab is closed.
 
-    Page, websocket, scripts and styles have addresses that begin with a random token; see :class:`Refused`. Nothing is
+    The addresses of page, websocket, scripts and styles begin with a random token; see :class:`Refused`. Nothing is
     loaded from the network.
 
     Args:
@@ -155,10 +158,10 @@ class PageServer:
 
     @contextmanager
     def opened_in_browser(self) -> Iterator[None]:
-        """Open the page in the user's browser.
+        """Open the page in the user's browser, in a context whose end removes the file that leads to the page.
 
-        The browser gets the name of a private file that leads to the page, and not the address with the token, because
-        all users of the machine see the arguments of its programs. The file is deleted when the context ends.
+        The browser gets the name of this private file, and not the address with the token, because all users of the
+        machine see the arguments of its programs.
         """
         with TemporaryDirectory(prefix="dssc-jax-explore-") as folder:
             redirect = Path(folder) / "explore.html"

@@ -59,7 +59,7 @@ class Slider(NamedTuple):
         name: Dotted name of the number in the study.
         part: Property of the number's law: :data:`MEDIAN`, :data:`WIDTH` or an argument; empty for the number itself.
         meaning: Meaning of the number.
-        unit: SI unit; empty for a width, which is relative to the study's.
+        unit: SI unit; empty for a width, which is a ratio to the width in the study.
         low: Lowest position.
         high: Highest position.
         start: Position that describes the study itself.
@@ -91,7 +91,7 @@ class Slider(NamedTuple):
     def is_argument(self) -> bool:
         """Whether the slider makes its number an argument of the compiled program.
 
-        The values of a law are arguments already, and the sample time is fixed when the program is compiled.
+        The numbers with laws are arguments already. The sample time is fixed when the program is compiled.
         """
         return not self.part and self.name != CLOCK_SLIDER
 
@@ -129,8 +129,8 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
 def leading_names(study: Study) -> list[str]:
     """Return the numbers that get a slider first if the plant is a vehicle; none for other plants.
 
-    They are the numbers whose quantity is ``leading`` (mass, rotor lag, wind, noise), and the first
-    :data:`MOST_GAINS` gains that the controller declares tunable. Numbers of a single channel are not among them.
+    First come the numbers whose quantity is ``leading`` (mass, rotor lag, wind, noise), then the first
+    :data:`MOST_GAINS` gains that the controller declares tunable. Numbers that belong to a single channel are left out.
     """
     channels = set(study.loop.channels)
     if len(channels) == 1:
@@ -186,10 +186,10 @@ def is_movable(number: Number) -> bool:
 
 
 def sliders_of_number(study: Study, name: str) -> list[Slider]:
-    """Return the sliders of a number; none if it cannot be moved.
+    """Return the sliders of a number; none if the number cannot be moved.
 
-    A plain or swept number has one slider. A law has two, of its median and of its width. A law with ranges has one for
-    each range.
+    A plain or swept number has one slider. A law has two, for its median and its width. A law with ranges has one
+    slider for each range.
 
     Args:
         study: The study.
@@ -218,7 +218,7 @@ def sliders_of_axis(number: Number, start: float, values: Sequence[float]) -> li
 
     Args:
         number: The number.
-        start: Value of the number, or the median of its law; the ends of the slider enclose it.
+        start: Value of the number, or the median of its law; it lies within the ends of the slider.
         values: Values of the axis.
     """
     low = min(*values, start)
@@ -227,7 +227,7 @@ def sliders_of_axis(number: Number, start: float, values: Sequence[float]) -> li
 
 
 def sample_time_slider(study: Study) -> Slider:
-    """Return the slider of the sample time; the duration is a multiple of each of its positions."""
+    """Return the slider of the sample time; the duration is a whole multiple of each of the slider's positions."""
     start = study.loop.sample_time
     steps = []
     for factor in SAMPLE_TIMES:
@@ -248,7 +248,14 @@ def sample_time_slider(study: Study) -> Slider:
 
 
 def sliders_of_law(number: Number, law: Law) -> list[Slider]:
-    """Return the sliders of median and width of a law; none for a law that cannot be moved, such as a choice."""
+    """Return the sliders of median and width of a law.
+
+    There are none if the law cannot be moved, such as a choice, or if its median has no room to move.
+
+    Args:
+        number: The number with the law.
+        law: The law.
+    """
     if not law.movable:
         return []
     scale = scale_around(law.median, number.quantity)._replace(log=law.logarithmic)
@@ -293,10 +300,10 @@ def number_slider(number: Number, part: str, scale: SliderScale, start: float) -
 
 
 def scale_around(value: float, quantity: Quantity, reach: float = DEFAULT_REACH) -> SliderScale:
-    """Return the scale of a slider around a value, logarithmic for a positive number.
+    """Return the scale of a slider around a value; it is logarithmic for a positive number.
 
-    A positive number moves between ``value / reach`` and ``value * reach``, zero by one unit to both sides, and a
-    negative number by twice its magnitude. All stay within the admissible interval of the quantity.
+    The ends of a positive number are ``value / reach`` and ``value * reach``. Those of zero are -1 and 1, and those of
+    a negative number lie twice its magnitude below and above it. The admissible interval of the quantity cuts the ends.
 
     Args:
         value: The number.
@@ -331,11 +338,11 @@ def live_extents(sliders: Iterable[Slider]) -> dict[str, SliderEnds]:
 def admissible_sliders(study: Study, sliders: Sequence[Slider]) -> list[Slider]:
     """Return the sliders whose ends the rules of the models admit together.
 
-    A slider that they do not admit is replaced by one with a smaller reach, or left out if none is admitted.
+    A slider whose ends are not admitted is replaced by one with a smaller reach, or left out if no reach is admitted.
 
     Args:
         study: The study.
-        sliders: The sliders, those to keep rather first.
+        sliders: The sliders, the most important first: each must be admitted beside the earlier ones.
     """
     if admits(study, live_extents(sliders)):
         return list(sliders)
@@ -364,7 +371,12 @@ def with_smaller_reach(study: Study, slider: Slider, reach: float) -> Slider:
 
 
 def admits(study: Study, extents: Mapping[str, SliderEnds]) -> bool:
-    """Whether a study is valid with the ends of all extents as swept values."""
+    """Whether a study is valid with both ends of each extent as swept values.
+
+    Args:
+        study: The study.
+        extents: Low and high end of each number.
+    """
     try:
         study.override({"sweep": {name: sorted(set(extent)) for name, extent in extents.items()}})
     except ConfigError:

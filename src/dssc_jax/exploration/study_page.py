@@ -48,8 +48,9 @@ SIDE = 330
 class StudyPage(Page):
     """The page of a study: when a slider moves, all draws are simulated again.
 
-    In a notebook or a program, a move returns when its run is shown. With ``background`` runs happen in a thread, and
-    a newer move replaces an older one. ``now`` is the run that is shown, and ``before`` the run to compare it with.
+    In a notebook or a program, a move returns as soon as its run is shown. With ``background``, runs happen in a
+    thread, and a newer move replaces an older one. ``now`` is the run that is shown, and ``before`` is the run to
+    compare it with.
 
     Args:
         live: The study with its sliders.
@@ -180,7 +181,10 @@ class StudyPage(Page):
         self.start()
 
     def _on_move(self, _: object) -> None:
-        """Run when the user moves a slider, but not while :meth:`move` moves sliders, which runs once at its end."""
+        """Run when the user moves a slider.
+
+        While :meth:`move` moves sliders, nothing runs here; :meth:`move` runs once at its end.
+        """
         if not self._moving:
             self.start()
 
@@ -194,7 +198,7 @@ class StudyPage(Page):
 
         Args:
             positions: Position of each slider.
-            stale: Whether newer positions have come; then nothing is shown.
+            stale: Returns whether newer positions have come; then nothing is shown.
         """
         try:
             run = self.live.run(positions, stale, partial(self.update, self.show_status))
@@ -273,11 +277,17 @@ class StudyPage(Page):
             self.show(self.now)
 
     def ask_margin(self, slider: Slider) -> None:
-        """Show how far the number of a slider may go before draws fail, with all other numbers at their positions."""
+        """Show how far the number of a slider may go before draws fail.
+
+        All other numbers stay at the positions of their sliders.
+        """
         self.ask(margin_question(slider, self.positions[slider]), f"walking along {slider.name}")
 
     def ask_ranges(self) -> None:
-        """Show the failure probability over all laws within their ranges, with all other numbers at their positions."""
+        """Show the failure probability over all laws within their ranges.
+
+        All other numbers stay at the positions of their sliders.
+        """
         study = self.live.ranged_study_at(self.positions)
         self.ask(law_range_question(study), "simulating the laws within their ranges")
 
@@ -298,7 +308,7 @@ class StudyPage(Page):
     def _answer(
         self, question: Question[Answer], activity: str, show_answer: Callable[[LiveRun, Answer], None]
     ) -> None:
-        """Compute the answer to a question about the present run, and show it unless a newer move supersedes it.
+        """Compute the answer to a question about the present run, and show it unless a newer move supersedes the run.
 
         Args:
             question: The question.
@@ -345,7 +355,7 @@ class StudyPage(Page):
         """Write the present study to a new file, and compare a run of this file with the present run.
 
         Args:
-            name: Name of the file in the page's folder; a name that is refused is told in the status line.
+            name: Name of the file in the page's folder; if the name is refused, the status line says why.
         """
         run = self.now
         if run is None:
@@ -375,7 +385,7 @@ class StudyPage(Page):
 def margin_sliders(sliders: Sequence[Slider]) -> dict[str, Slider]:
     """Return the slider of each number whose margin can be asked for, by the number's name in alphabetical order.
 
-    They are the sliders of numbers and of the medians of laws.
+    A margin can be asked for a plain number and for the median of a law, but not for other properties of a law.
     """
     by_name: dict[str, Slider] = {}
     for slider in sliders:

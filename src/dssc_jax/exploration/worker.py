@@ -34,7 +34,10 @@ class Worker:
         self._thread: threading.Thread | None = None
 
     def submit(self, work: Work) -> None:
-        """Request work, which replaces a request that has not begun, and makes the running one stale."""
+        """Request work; it replaces a request that has not begun, and makes the running one stale.
+
+        A closed worker ignores the request.
+        """
         with self._changed:
             if self._closed:
                 return
@@ -46,7 +49,7 @@ class Worker:
             self._changed.notify_all()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until no request is pending or running, at most for a timeout [s]; return whether none is.
+        """Wait until no request is pending or running, and return whether that is so.
 
         Args:
             timeout: Longest time to wait [s]; None: no limit.

@@ -1,4 +1,4 @@
-"""Widgets for an error of the laws, and the texts with the failure probability that follows from it."""
+"""Widgets for an error of the laws, and texts with the failure probability under such an error."""
 
 import math
 from collections.abc import Callable
@@ -35,12 +35,17 @@ class WrongLaws:
     """Widgets for the kind and the size of an error of the laws, and for the answer.
 
     Args:
-        on_change: Called when kind or size change; the page answers by :meth:`show`.
+        on_change: Called when the kind or the size changes; the page answers by :meth:`show`.
         on_search: Called when the largest errors are requested; the page answers by :meth:`show`.
     """
 
     def __init__(self, on_change: Callable[[], None], on_search: Callable[[], None]) -> None:
-        """Make the widgets; the size is 0, and there is no answer yet."""
+        """Make the widgets; the size is 0, and there is no answer yet.
+
+        Args:
+            on_change: Called when the kind or the size of the law errors changes.
+            on_search: Called when the button for the largest law errors is clicked.
+        """
         self.kind = pn.widgets.Select(label="The laws may be wrong by a", options=list(ERROR_KINDS), width=300)
         self.size = pn.widgets.FloatSlider(label="of up to", start=0.0, end=MOST_ERROR, step=STEP, value=0.0, width=260)
         self.limit = pn.widgets.FloatInput(label="may fail", value=LIMIT, start=0.0, end=1.0, step=0.01, width=100)

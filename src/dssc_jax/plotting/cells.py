@@ -14,7 +14,11 @@ OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=3.0, foreground=DARK)]
 
 
 def largest_colour(share: np.ndarray) -> float:
-    """Upper end of a map's colours: the largest probability if it is below one half, else 1."""
+    """Upper end of a map's colour scale: the largest probability if it is above 0 and below one half, else 1.
+
+    Args:
+        share: Share of failed draws in each cell.
+    """
     largest = float(share.max())
     return largest if 0.0 < largest < 0.5 else 1.0
 
@@ -25,9 +29,9 @@ def needs_bitmap(values: np.ndarray) -> bool:
 
 
 def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
-    """Edges of the cells around increasing values: half way between neighbours, and as far beyond both ends.
+    """Edges of the cells around increasing values: half way between neighbours, and equally far beyond both ends.
 
-    A single value gets a cell of width 1, or from e^(-1/2) to e^(1/2) times the value.
+    A single value gets a cell of width 1, or from e^(-1/2) to e^(1/2) times the value on a logarithmic axis.
 
     Args:
         values: Centres of the cells, shape (n,).
@@ -46,14 +50,16 @@ def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
 
 
 def capped_limits(finite: np.ndarray, cap: float | None) -> tuple[float, float] | None:
-    """Limits of a map's colours that end at a cap, so that a few huge values do not hide the differences of all others.
+    """Limits of a map's colours that end at a cap.
+
+    The cap keeps a few huge values from hiding the differences between all others.
 
     Args:
         finite: Finite values of the map.
         cap: Upper limit of the colours; None: no limit.
 
     Returns:
-        Lowest and highest value with a colour of its own; None if the cap is not within the values.
+        The lowest and the highest value with its own colour; None if the cap is not within the values.
     """
     if cap is None or finite.size == 0:
         return None

@@ -23,7 +23,7 @@ class FailureEstimate(TypedDict):
 
 
 class PairedDifference(TypedDict):
-    """Failure probability of controller ``a`` minus that of ``b``, with the bounds of its interval."""
+    """Failure probability of controller ``a`` minus that of controller ``b``, with the bounds of its interval."""
 
     a: str
     b: str
@@ -35,9 +35,9 @@ class Marks(NamedTuple):
     """The marks of one contest of the controllers.
 
     Args:
-        colour: Their colour.
-        text: Their legend.
-        shift: Distance from the controllers' rows.
+        colour: Colour of the marks.
+        text: Legend of the marks.
+        shift: Vertical distance of the marks from the controllers' rows.
     """
 
     colour: str
@@ -96,6 +96,8 @@ def probability_panel(ax: Axes, controllers: Mapping[str, FailureEstimate], mark
 
 def difference_panel(ax: Axes, pairs: Sequence[PairedDifference], controllers: Sequence[str], marks: Marks) -> None:
     """Draw the failure probability of each controller minus that of the first, with its interval.
+
+    The pairs hold the opposite difference, first minus other, so the sign is turned and the bounds are swapped.
 
     Args:
         ax: Axes to draw into.

@@ -17,7 +17,16 @@ PROVED_LEGEND = "proved, with lag and sampling"
 
 
 def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None:
-    """Draw the median of a metric along an axis of a sweep, with a band from the 5 to the 95 % quantile."""
+    """Draw the median of a metric along an axis of a sweep, with a band from the 5 % to the 95 % quantile.
+
+    A study with a single draw has no band. If the study asks for a slope, a fitted power law is added.
+
+    Args:
+        ax: Axes to draw into.
+        result: The sweep.
+        measure: The metric.
+        axis: Name of the swept number.
+    """
     x = result.dataset[axis].values
     low, median, high = quantiles(result, measure)
     name = "simulated"
@@ -40,13 +49,28 @@ def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None
 
 
 def fill_band(ax: Axes, x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: str, text: str) -> None:
-    """Fill a band between two curves, each of shape (n,), with as many points as a figure can show."""
+    """Fill a band between two curves, thinned to as many points as a figure can show.
+
+    Args:
+        ax: Axes to draw into.
+        x: Places along the axis, shape (n,).
+        low: Lower curve, shape (n,).
+        high: Upper curve, shape (n,).
+        colour: Colour of the band.
+        text: Legend of the band.
+    """
     points, lower, upper = envelope(x, low, high)
     ax.fill_between(points, lower, upper, color=colour, alpha=0.2, linewidth=0.0, label=text)
 
 
 def probability_curve(ax: Axes, result: Result, axis: str) -> None:
-    """Draw the failure probability along an axis of a sweep, with its interval as a band."""
+    """Draw the failure probability along an axis of a sweep, with its interval as a band.
+
+    Args:
+        ax: Axes to draw into.
+        result: The sweep.
+        axis: Name of the swept number.
+    """
     x = result.dataset[axis].values
     failed = result.failed.values
     interval = result.method.failure_interval(failed)
@@ -58,12 +82,12 @@ def probability_curve(ax: Axes, result: Result, axis: str) -> None:
 
 
 def line_format(x: np.ndarray) -> str:
-    """Matplotlib's format of a curve: with a dot at each point, unless there are too many to be told apart."""
+    """Matplotlib's format of a curve: a line with a dot at each point, or without dots if there are too many points."""
     return "o-" if len(x) <= MOST_MARKED_POINTS else "-"
 
 
 def finish_curve(ax: Axes, result: Result, axis: str) -> None:
-    """Add what all curves show: certified and proved parts of the axis, the study's own value, scale and labels."""
+    """Add what all curves share: certified and proved parts of the axis, the study's own value, scale and labels."""
     x = result.dataset[axis].values
     set_scale(ax, x)
     certified = certified_region(result)
@@ -77,7 +101,13 @@ def finish_curve(ax: Axes, result: Result, axis: str) -> None:
 
 
 def true_runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Begin and end of every run of true values in a mask of shape (n,): its first index, and the index after its last.
+    """Begin and end of every run of true values in a mask.
+
+    Args:
+        mask: Booleans, shape (n,).
+
+    Returns:
+        For each run, its first index and the index after its last.
 
     Example:
         >>> true_runs(np.array([True, True, False, True]))
@@ -106,7 +136,7 @@ def mark_certified(ax: Axes, x: np.ndarray, certified: np.ndarray) -> None:
 
 
 def mark_proved(ax: Axes, x: np.ndarray, proved: np.ndarray) -> None:
-    """Mark the parts of the axis at which the loop is proved by a bar.
+    """Mark the parts of the axis where the loop is proved, by a bar on the lower edge of the axes.
 
     Args:
         ax: Axes of the curve.
@@ -123,7 +153,10 @@ def mark_proved(ax: Axes, x: np.ndarray, proved: np.ndarray) -> None:
 
 
 def quantiles(result: Result, measure: Measure) -> np.ndarray:
-    """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
+    """The 5 %, 50 % and 95 % quantiles of a metric over the draws, shape (3, axes...).
+
+    A draw without a value counts as the worst value of the metric.
+    """
     return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95), measure.metric.worst)
 
 
@@ -133,12 +166,18 @@ def have_logarithms(values: np.ndarray) -> bool:
 
 
 def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Slope and intercept of log y against log x, fitted by least squares; the slope is the exponent of a power law."""
+    """Slope and intercept of log y over log x, fitted by least squares; the slope is the exponent of a power law."""
     slope, intercept = np.polyfit(np.log(x), np.log(y), 1)
     return float(slope), float(intercept)
 
 
 def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """Draw the power law fitted to a curve, with its exponent in the legend."""
+    """Draw the power law fitted to a curve, with its exponent in the legend.
+
+    Args:
+        ax: Axes of the curve.
+        x: Places along the axis, positive, shape (n,).
+        y: Values of the curve, positive, shape (n,).
+    """
     slope, intercept = fitted_slope(x, y)
     ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")

@@ -34,9 +34,9 @@ MOST_MARKED_STEPS = 20  # steps of a distribution function up to which each has 
 
 @styled
 def failures(result: Result) -> Figure:
-    """Plot a run: the distribution of one metric, and the failure probability against the most influential numbers.
+    """Plot a run: the distribution of one metric, and the failure probability over the most influential numbers.
 
-    The metric is the one that ``[plot]`` names, else that of the requirement which most draws violate.
+    ``[plot]`` of the study may name the metric. Otherwise it is that of the requirement which most draws violate.
     """
     laws = sorted_by_influence(result, drawable_laws(result))[:MOST_FACTORS]
     panels = 1 + len(laws)
@@ -64,7 +64,9 @@ def failures(result: Result) -> Figure:
 
 
 def share_probability_axis(factors: np.ndarray, columns: int) -> None:
-    """Give the panels of all uncertain numbers the same axis of probabilities, labelled where its left end is free.
+    """Give the panels of all uncertain numbers the same axis of probabilities.
+
+    A panel keeps its labels only if no other of these panels is to its left.
 
     Args:
         factors: The panels, row by row after another panel, which is the first of the figure.
@@ -80,7 +82,9 @@ def share_probability_axis(factors: np.ndarray, columns: int) -> None:
 
 
 def require_one_point(result: Result) -> None:
-    """Require a single point: all points of a sweep share their draws, so no interval holds for their draws together.
+    """Require that a result has a single point.
+
+    All points of a sweep share the same draws, so no interval holds for the draws of several points together.
 
     Raises:
         ValueError: The result has several points.
@@ -98,9 +102,9 @@ def drawable_laws(result: Result) -> list[str]:
 def distribution(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
     """Plot the empirical distribution function of a metric, with the exact interval of each share of draws.
 
-    A draw without a value counts as the worst one (:attr:`Metric.worst`). Where large values are good, as those of a
-    robustness, the curve therefore starts at the share of such draws; elsewhere it ends below 1. The legend tells how
-    many draws lie beyond an end of the axis.
+    A draw without a value counts as the worst one (:attr:`Metric.worst`). Where large values are good, as for a
+    robustness, the curve therefore starts at the share of such draws; for other metrics it ends below 1. The legend
+    tells how many draws lie beyond an end of the axis.
 
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).
@@ -140,7 +144,7 @@ class Steps(NamedTuple):
 
     Args:
         values: The metric at each step, ascending, shape (steps,).
-        ranks: Number of draws at or below each of them, of the same shape.
+        ranks: Number of draws at or below each value, shape (steps,).
         draws: Number of all draws.
         below: Number of draws below the lowest value that fits on an axis.
         above: Number of draws above the highest value that fits on an axis.
@@ -154,7 +158,7 @@ class Steps(NamedTuple):
 
     @property
     def omitted_text(self) -> str | None:
-        """How many draws lie beyond either end of the axis, for the legend; None: no draw does."""
+        """The legend's text on the draws that lie beyond either end of the axis; None if no draw does."""
         sides = {"left": self.below, "right": self.above}
         texts = [f"{count:,} further {side}" for side, count in sides.items() if count]
         return f"draws; {', '.join(texts)}" if texts else None
@@ -165,7 +169,7 @@ def steps_of_distribution(values: np.ndarray, missing: float) -> Steps:
 
     Args:
         values: The metric of each draw, shape (draws,).
-        missing: Replaces NaN.
+        missing: Value that replaces NaN.
     """
     sorted_values = sorted_draws(values, missing)
     below, end = np.searchsorted(sorted_values, [-DRAWABLE, DRAWABLE], side="right").tolist()
@@ -182,9 +186,9 @@ def steps_of_distribution(values: np.ndarray, missing: float) -> Steps:
 
 @styled
 def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
-    """Plot the failure probability with its exact interval against one uncertain number, in bins of equal count.
+    """Plot the failure probability with its exact interval over one uncertain number, in bins of equal count.
 
-    A number that takes few values, such as that of a ``choice``, has a bin for each of them.
+    A number that takes few values, such as one with the law ``choice``, has a bin for each value.
 
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).

@@ -57,9 +57,9 @@ def factor_rows(
 
     Args:
         ax: Axes to draw into.
-        output: Sensitivities by factor: the value of a quantity by its name, the interval by the name with
-            ``_interval``.
-        quantities: Attributes of each quantity by name; ``legend`` is its text.
+        output: Sensitivities by factor. In each factor, the key of a quantity gives its value, and the key followed by
+            ``_interval`` gives its interval.
+        quantities: Attributes of each quantity, by the quantity's key; ``legend`` is the text of the legend.
     """
     factors = list(output.values())
     count = len(quantities)

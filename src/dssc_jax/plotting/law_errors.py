@@ -64,7 +64,10 @@ def change_panel(ax: Axes, data: xr.Dataset, prefix: str, dimension: str, limit:
 
 
 def law_panel(ax: Axes, data: xr.Dataset) -> None:
-    """Draw how far the mean of each law alone may be wrong; the law with the smallest shift is on top."""
+    """Draw how far the mean of each law alone may be wrong.
+
+    The law with the smallest estimated shift is on top. An estimate of NaN means that no shift reaches the limit.
+    """
     by_estimate = np.where(np.isnan(data["shift_estimate"].values), np.inf, data["shift_estimate"].values)
     order = np.argsort(by_estimate + 1e-6 * data["shift"].values, kind="stable")  # equal estimates by their bounds
     estimate = data["shift_estimate"].values[order]  # NaN: no shift reaches the limit

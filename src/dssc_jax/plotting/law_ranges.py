@@ -36,7 +36,10 @@ def law_ranges(ranges: Analysis) -> Figure:
 
 
 def probability_panel(ax: Axes, summary: JsonObject) -> None:
-    """Draw the failure probability under the best and the worst law, by the draws' weights and by new draws."""
+    """Draw the failure probability under the best and the worst law.
+
+    Each probability is drawn twice: from the weights of the draws, and from new draws.
+    """
     handles = []
     for place, name in enumerate(("lowest", "highest")):
         extreme = summary[name]
@@ -56,15 +59,18 @@ def probability_panel(ax: Axes, summary: JsonObject) -> None:
 def draw_interval(
     ax: Axes, place: float, probability: float, interval: Sequence[float], colour: str, text: str
 ) -> list[Line2D]:
-    """Draw a probability as a dot on its interval, a vertical line; return the line, with ``text`` as its legend.
+    """Draw a probability as a dot on its interval, which is a vertical line.
 
     Args:
         ax: Axes to draw into.
         place: Place on the horizontal axis.
         probability: The probability.
-        interval: Its lower and upper bound.
+        interval: Lower and upper bound of the probability.
         colour: Colour of dot and line.
         text: Legend of the line.
+
+    Returns:
+        The line.
     """
     lines = ax.plot([place, place], interval, color=colour, linewidth=3, label=text)
     ax.plot(place, probability, "o", color=colour)
@@ -72,7 +78,12 @@ def draw_interval(
 
 
 def argument_panel(ax: Axes, data: xr.Dataset) -> None:
-    """Draw the arguments of the best and the worst law, each as a share of its range."""
+    """Draw the arguments of the laws with the lowest and the highest failure probability, as shares of their ranges.
+
+    Args:
+        ax: Axes to draw into.
+        data: The ends ``low`` and ``high`` of each argument's range, and its values ``at_lowest`` and ``at_highest``.
+    """
     lows = data["low"].values
     highs = data["high"].values
     rows = np.arange(len(lows))

@@ -13,7 +13,7 @@ LEVELS = np.linspace(0.0005, 0.9995, 1000)
 
 
 def level_of(law: Law, values: np.ndarray) -> np.ndarray:
-    """The level of each value in a law, which is its distribution function there, with an error of about 0.001.
+    """The level of each value in a law: the law's distribution function at the value, with an error of about 0.001.
 
     Args:
         law: The law.
@@ -23,7 +23,7 @@ def level_of(law: Law, values: np.ndarray) -> np.ndarray:
 
 
 def law_axis(ax: Axes, names: Sequence[str], subject: str) -> None:
-    """Set up axes with one row for each number, and the levels of its law along the horizontal axis.
+    """Set up axes with one row for each number, and with the level in the number's law along the horizontal axis.
 
     Args:
         ax: Axes to set up.

@@ -19,7 +19,7 @@ LOWEST_GAIN = -60.0
 def loop_margins(margins: Analysis, point: str | None = None, broken_at: str | None = None) -> Figure:
     """Plot Bode and Nyquist diagrams of the open loop L, S and T, and the distributions of phase and delay margin.
 
-    Bands hold 90 % of the draws at each frequency; curves in the Nyquist diagram are single draws.
+    Bands contain 90 % of the draws at each frequency. Curves in the Nyquist diagram are single draws.
 
     Args:
         margins: The return value of :func:`dssc_jax.loop_margins`.
@@ -120,14 +120,14 @@ def nyquist_panel(ax: Axes, real: np.ndarray, imaginary: np.ndarray) -> None:
 def margin_panel(ax: Axes, margin: xr.DataArray, stable: int, limit: float | None, unit: str, scale: float) -> None:
     """Draw the distribution function of a margin over all draws, and its tolerance limit.
 
-    Draws without a stable loop count as a margin of 0, where the curve begins at their share. It does not reach 1 if
-    stable loops have an infinite margin.
+    A draw without a stable loop counts as a margin of 0, so the curve begins at the share of these draws. The curve
+    does not reach 1 if some stable loops have an infinite margin.
 
     Args:
         ax: Axes to draw into.
-        margin: The margin of each draw, shape (draws,); not finite where the draw has none, or an infinite one.
+        margin: The margin of each draw, shape (draws,); not finite where the draw has no margin, or an infinite one.
         stable: Number of draws with a stable loop.
-        limit: Tolerance limit of the margin; None: there is none.
+        limit: Tolerance limit of the margin; None: no limit is drawn.
         unit: Unit of the axis.
         scale: Factor that converts the margin to that unit.
     """

@@ -33,7 +33,7 @@ class MarginSummary(TypedDict):
 
 
 def summary_of(margins: Analysis) -> MarginSummary:
-    """The summary of an analysis, which :func:`dssc_jax.margin` made, with the types of its entries."""
+    """The summary of an analysis that :func:`dssc_jax.margin` made, with the types of the summary's entries."""
     return cast("MarginSummary", margins.summary())
 
 
@@ -61,7 +61,13 @@ def margin(margins: Analysis) -> Figure:
 
 
 def degradation_panel(ax: Axes, walk_values: xr.DataArray, summary: MarginSummary) -> None:
-    """Draw the failure probability along the walk, with its simultaneous band."""
+    """Draw the failure probability along the walk, with a band that holds for all values together.
+
+    Args:
+        ax: Axes to draw into.
+        walk_values: Values along the walk, for the label of the axis.
+        summary: Summary of the margin.
+    """
     curve = summary["degradation"]
     level = f"{100 * summary['confidence']:g} % band over all values together"
     ax.fill_between(curve["value"], curve["lower"], curve["upper"], color=RED, alpha=0.2, label=level)
@@ -71,7 +77,7 @@ def degradation_panel(ax: Axes, walk_values: xr.DataArray, summary: MarginSummar
 
 
 def set_walk_axis(ax: Axes, summary: MarginSummary) -> None:
-    """Set scale and limits of the horizontal axis, which runs from the safe end of the walk to the other."""
+    """Set scale and limits of the horizontal axis, which runs from the start of the walk, the safe end, to the end."""
     start, end = summary["bounds"]
     ax.set_xscale("log" if summary["log"] else "linear")
     ax.set_xlim(start, end)
@@ -80,7 +86,12 @@ def set_walk_axis(ax: Axes, summary: MarginSummary) -> None:
 def distribution_panel(ax: Axes, critical: xr.DataArray, summary: MarginSummary) -> None:
     """Draw the distribution function of the critical values along the walk.
 
-    It does not begin at 0 if draws fail at the start of the walk, and does not reach 1 if draws pass to its end.
+    The curve begins above 0 if draws fail at the start of the walk, and ends below 1 if draws pass to its end.
+
+    Args:
+        ax: Axes to draw into.
+        critical: Critical value of each draw, shape (draws,); NaN if the draw does not begin to fail along the walk.
+        summary: Summary of the margin.
     """
     start, end = summary["bounds"]
     draws = critical.size
@@ -105,16 +116,16 @@ def distribution_panel(ax: Axes, critical: xr.DataArray, summary: MarginSummary)
 
 
 def in_order_of_walk(values: np.ndarray, summary: MarginSummary) -> np.ndarray:
-    """Sort values in the order in which the walk meets them."""
+    """Sort values in the order in which the walk meets them: descending if the walk goes down."""
     start, end = summary["bounds"]
     sorted_values = np.sort(values)
     return sorted_values if end > start else sorted_values[::-1]
 
 
 def mark_certificate(ax: Axes, summary: MarginSummary) -> None:
-    """Mark how far Theorem 1 certifies the loop and how far it is proved, and write the certificate below the figure.
+    """Mark how far Theorem 1 certifies the loop and how far the loop is proved; write the certificate below the figure.
 
-    An arrow at the edge of the axes stands for a certified value that is off the axis.
+    An arrow at the edge of the axes stands for a certified value outside of the axis.
     """
     figure = ax.get_figure(root=True)
     assert figure is not None

@@ -12,7 +12,9 @@ from dssc_jax.results.analysis import Analysis
 
 @styled
 def rare(event: Analysis) -> Figure:
-    """Plot the failure probability by each repeat, by the method and by plain draws, and where failures lie.
+    """Plot the failure probability and where failures lie.
+
+    The probability is that of each repeat, of the method, and of plain draws.
 
     Args:
         event: The return value of :func:`dssc_jax.rare`.
@@ -54,7 +56,15 @@ def probability_panel(ax: Axes, summary: JsonObject) -> None:
 
 
 def draw_estimate(ax: Axes, row: int, probability: float, bounds: np.ndarray, colour: str) -> None:
-    """Draw an interval, bounds of shape (2,), as a line, and the estimate as a dot on it unless it is 0."""
+    """Draw an interval as a horizontal line, and the estimate as a dot on it; an estimate of 0 has no dot.
+
+    Args:
+        ax: Axes to draw into.
+        row: Row on the vertical axis.
+        probability: The estimate.
+        bounds: Lower and upper bound, shape (2,).
+        colour: Colour of dot and line.
+    """
     ax.plot(bounds, [row, row], color=colour)
     if probability:
         ax.plot([probability], [row], "o", color=colour)

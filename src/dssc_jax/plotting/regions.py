@@ -33,12 +33,12 @@ class PlottedRegion(Protocol):
 def enclosed_cells(verdict: np.ndarray) -> np.ndarray:
     """Find the cells of a lattice of pairs that are enclosed by pairs that meet the requirements.
 
-    All cells of a square, 1, 2, 4, ... cells wide, are enclosed if its four corners meet the requirements and no pair
-    in it has another verdict.
+    Squares 1, 2, 4, ... cells wide are tried. All cells of a square are enclosed if its four corners meet the
+    requirements and no pair in the square violates them.
 
     Args:
-        verdict: Verdict of each pair, shape (m, m): 0 where the requirements are met, negative where nothing was
-            simulated.
+        verdict: Verdict of each pair, shape (m, m): 0 where the requirements are met, positive where they are violated,
+            and negative where nothing was simulated.
 
     Returns:
         Whether each cell is enclosed, shape (m - 1, m - 1).

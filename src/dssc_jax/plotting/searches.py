@@ -62,7 +62,7 @@ def objective_text(objective: ObjectiveSummary) -> str:
 def history_panel(ax: Axes, tuned: Analysis) -> None:
     """Draw the objective along the search, and on a second axis the largest violation of a limit.
 
-    The objective is the proved number if the tuning has one, else that on training and validation draws.
+    The objective is the proved number if the tuning has one. Otherwise it is drawn on training and on validation draws.
     """
     data = tuned.dataset
     step = data["step"].values
@@ -87,7 +87,10 @@ def history_panel(ax: Axes, tuned: Analysis) -> None:
 
 
 def cost_panel(ax: Axes, tuned: Analysis, verdict: VerdictSummary) -> None:
-    """Draw the distribution functions of the fresh draws' costs at the start and at the result, and the objectives."""
+    """Draw the distribution functions of the fresh draws' costs at the start and at the result, with the objectives.
+
+    A draw without a cost counts as infinite, so that the curve ends below 1.
+    """
     for name, colour, aggregate in zip(("start", "tuned"), (GREY, ORANGE), verdict["objective"], strict=True):
         cost = tuned.dataset[f"cost_{name}"].values
         sorted_costs = np.sort(np.where(np.isnan(cost), np.inf, cost))
@@ -101,7 +104,8 @@ def cost_panel(ax: Axes, tuned: Analysis, verdict: VerdictSummary) -> None:
 
 @styled
 def falsification(falsified: Analysis) -> Figure:
-    """Plot slacks along the search and over the distance of the draws, and where the worst draw lies within the laws.
+    """Plot the slacks along the search and over the distance of the draws, and the place of the worst draw within the
+    laws.
 
     Args:
         falsified: The return value of :func:`dssc_jax.falsify`.
@@ -117,7 +121,13 @@ def falsification(falsified: Analysis) -> Figure:
 
 
 def levels_panel(ax: Axes, falsified: Analysis, witness: Mapping[str, float]) -> None:
-    """Draw where the worst draw lies within each law; ``witness`` has its numbers by name, in the laws' order."""
+    """Draw where the worst draw lies within each law.
+
+    Args:
+        ax: Axes to draw into.
+        falsified: The return value of the falsification.
+        witness: Numbers of the worst draw by name, in the order of the study's laws.
+    """
     laws = falsified.study.laws
     levels = [float(level_of(laws[name], np.array([value]))[0]) for name, value in witness.items()]
     ax.plot(levels, range(len(levels)), "o", color=RED)
@@ -131,7 +141,7 @@ def finite_slack(falsified: Analysis) -> np.ndarray:
 
 
 def search_panel(ax: Axes, falsified: Analysis) -> None:
-    """Draw the slack of each simulation, and the worst one so far."""
+    """Draw the slack of each simulation, and the worst slack so far."""
     slack = finite_slack(falsified)
     simulations = falsified.dataset["simulations"]
     ax.plot(simulations, slack, ".", color=GREY, markersize=4, label="each simulation")
@@ -142,12 +152,13 @@ def search_panel(ax: Axes, falsified: Analysis) -> None:
 
 
 def distance_panel(ax: Axes, falsified: Analysis, limit: Mapping[str, float] | None) -> None:
-    """Draw the slack of each simulation over the distance from the median draw.
+    """Draw the slack of each simulation over the distance of its draw from the median draw.
 
     Args:
         ax: Axes to draw into.
         falsified: The analysis.
-        limit: Largest ``distance`` of the search, and the ``mass``, the share of all draws, within; None: no limit.
+        limit: Largest ``distance`` of the search, and the ``mass``, which is the share of all draws within this
+            distance; None: no limit.
     """
     slack = finite_slack(falsified)
     distance = falsified.dataset["distance"]
@@ -163,7 +174,10 @@ def distance_panel(ax: Axes, falsified: Analysis, limit: Mapping[str, float] | N
 
 
 def marked_draws(falsified: Analysis) -> Iterator[tuple[str, int, str]]:
-    """Name, index and marker of the worst draw and, if any draw fails, of the failure nearest to the median draw."""
+    """Yield name, index and marker of the draws to mark: the worst draw, and the failure nearest to the median draw.
+
+    If no draw fails, only the worst draw is marked.
+    """
     slack = falsified.dataset["slack"].values
     distance = falsified.dataset["distance"].values
     yield "worst draw", int(np.argmin(slack)), "o"

@@ -41,7 +41,13 @@ def label_of(data: xr.Dataset, name: str) -> str:
 
 
 def share_panel(ax: Axes, data: xr.Dataset, name: str) -> None:
-    """Draw the share of failed draws of each candidate over one number, and mark the selected candidates."""
+    """Draw the share of failed draws of each candidate over one number, and mark the selected candidates.
+
+    Args:
+        ax: Axes to draw into.
+        data: Dataset of the selection; a ``place`` of 0 or more marks a selected candidate.
+        name: Name of the number.
+    """
     selected = data["place"].values >= 0
     values = data[name].values
     share = (data["failures"] / data["draws"]).values
@@ -53,7 +59,14 @@ def share_panel(ax: Axes, data: xr.Dataset, name: str) -> None:
 
 
 def plane_panel(figure: Figure, ax: Axes, data: xr.Dataset, names: list[str]) -> None:
-    """Draw the candidates over the first two numbers, coloured by share of failed draws, and mark the selected ones."""
+    """Draw the candidates over the first two numbers, coloured by share of failed draws; mark the selected ones.
+
+    Args:
+        figure: The figure, for the colour bar.
+        ax: Axes to draw into.
+        data: Dataset of the selection; a ``place`` of 0 or more marks a selected candidate.
+        names: Names of the numbers.
+    """
     selected = data["place"].values >= 0
     first = data[names[0]].values
     second = data[names[1]].values

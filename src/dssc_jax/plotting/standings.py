@@ -33,13 +33,21 @@ def standing_colours() -> ListedColormap:
 
 
 def standing_words(covered: str) -> list[str]:
-    """The meaning of each standing; ``covered`` names what the proofs cover, such as the plants."""
+    """The meaning of each standing.
+
+    Args:
+        covered: What the proofs cover, in words, such as the plants.
+    """
     proved, *meanings = [meaning for _, meaning in STANDINGS]
     return [f"{proved} for {covered}", *meanings]
 
 
 def standing_handles(covered: str) -> list[Patch]:
-    """A legend entry for each standing; ``covered`` as in :func:`standing_words`."""
+    """A legend entry for each standing.
+
+    Args:
+        covered: What the proofs cover, in words, as for :func:`standing_words`.
+    """
     handles = []
     for (colour, _), text in zip(STANDINGS, standing_words(covered), strict=True):
         handles.append(Patch(facecolor=colour, label=text))

@@ -10,7 +10,8 @@ from dssc_jax.statistics import clopper_pearson
 
 @styled
 def strata(analysis: Analysis) -> Figure:
-    """Plot the probability of each stratum, its share of the draws, and its share of failures with exact intervals.
+    """Plot the strata: probability and share of the draws on the left, share of failures with exact intervals on the
+    right.
 
     Args:
         analysis: The return value of :func:`dssc_jax.probability`.

@@ -68,7 +68,7 @@ Drawing = TypeVar("Drawing")
 
 
 def styled(draw: Callable[DrawingArguments, Drawing]) -> Callable[DrawingArguments, Drawing]:
-    """Decorate a drawing function: it draws in the project's style, and leaves the caller's style unchanged."""
+    """Decorate a drawing function: it then draws in the project's style, and leaves the caller's style unchanged."""
 
     @wraps(draw)
     def draw_in_style(*args: DrawingArguments.args, **options: DrawingArguments.kwargs) -> Drawing:
@@ -80,10 +80,10 @@ def styled(draw: Callable[DrawingArguments, Drawing]) -> Callable[DrawingArgumen
 
 
 def panel(ax: Axes | None, size: tuple[float, float] = PANEL) -> tuple[Figure, Axes]:
-    """The axes to draw into, and their figure; new ones unless axes are passed.
+    """The axes to draw into, and their figure.
 
     Args:
-        ax: The axes; None: those of a new figure.
+        ax: The axes; None: the axes of a new figure.
         size: Width and height of a new figure [inch].
     """
     if ax is None:
@@ -114,14 +114,17 @@ def study_title(study: Study) -> str:
 
 
 def title(figure: Figure, text: str) -> None:
-    """Set a title, wrapped to the width of the figure. Users write parts of it, so ``$`` starts no mathematics."""
+    """Set a title, wrapped to the width of the figure.
+
+    Users write parts of the title, so ``$`` starts no mathematics.
+    """
     width = int(TITLE_DENSITY * figure.get_figwidth())
     lines = [textwrap.fill(line, width) for line in text.splitlines()]
     figure.suptitle("\n".join(lines), parse_math=False)
 
 
 def drawable(values: np.ndarray) -> np.ndarray:
-    """Values that fit on an axis; NaN in the place of larger ones, see :data:`DRAWABLE`."""
+    """Values that fit on an axis; larger magnitudes are replaced by NaN, see :data:`DRAWABLE`."""
     return np.where(np.abs(values) < DRAWABLE, values, np.nan)
 
 
@@ -132,13 +135,25 @@ def is_log(values: np.ndarray) -> bool:
 
 
 def set_scale(ax: Axes, values: np.ndarray, direction: Direction = "x") -> None:
-    """Make an axis logarithmic if its values are positive and span a wide range, see :func:`is_log`."""
+    """Make an axis logarithmic if its values are positive and span a wide range, see :func:`is_log`.
+
+    Args:
+        ax: The axes.
+        values: All values on the axis.
+        direction: Which axis: ``x`` or ``y``.
+    """
     if is_log(values):
         set_log(ax, values, direction)
 
 
 def set_log(ax: Axes, values: np.ndarray, direction: Direction = "x") -> None:
-    """Make an axis of values logarithmic, with plain numbers at its ticks."""
+    """Make an axis of values logarithmic, with plain numbers at its ticks.
+
+    Args:
+        ax: The axes.
+        values: The values, at least one of which is finite; the finite ones must be positive.
+        direction: Which axis: ``x`` or ``y``.
+    """
     finite = values[np.isfinite(values)]
     if direction == "x":
         ax.set_xscale("log")
@@ -149,7 +164,13 @@ def set_log(ax: Axes, values: np.ndarray, direction: Direction = "x") -> None:
 
 
 def set_log_ticks(axis: Axis, low: float, high: float) -> None:
-    """Label a logarithmic axis from ``low`` to ``high`` with plain numbers; a short axis has more of them."""
+    """Label a logarithmic axis with plain numbers; the fewer decades it spans, the more numbers each decade has.
+
+    Args:
+        axis: The axis.
+        low: Lower end of its values.
+        high: Upper end of its values.
+    """
     decades = np.log10(high / low)
     if decades < 1.3:
         labelled_mantissas = (1.0, 2.0, 5.0)
@@ -164,11 +185,12 @@ def set_log_ticks(axis: Axis, low: float, high: float) -> None:
 
 
 def probability_top(largest: float, margin: float) -> float:
-    """Upper end of an axis of probabilities: just above the largest if that is below one half, else just above 1.
+    """Upper end of an axis of probabilities: just above the largest one if it is below one half, else just above 1.
 
     Args:
         largest: Largest probability that is drawn.
-        margin: Space above the largest probability, as a share of the axis; above 1 it is half as large.
+        margin: Space above the largest probability, relative to it. Above a probability of 1 the space is half as
+            large.
     """
     if largest >= 0.5:
         return 1.0 + 0.5 * margin
@@ -181,7 +203,7 @@ def fit_probability(ax: Axes, largest: float, margin: float = 0.06) -> None:
     Args:
         ax: The axes.
         largest: Largest probability that is drawn.
-        margin: Space above the largest probability, as a share of the axis; 0: the axis ends there.
+        margin: Space above the largest probability, relative to it; 0: the axis ends at ``largest``.
     """
     top = probability_top(largest, margin) if margin else largest
     ax.set_ylim(-0.03 * top, top)
@@ -226,7 +248,7 @@ def write_png_and_svg(figure: Figure, png: Path, svg: Path, within: Path | None)
 
 
 def arrange(figure: Figure) -> None:
-    """Compute the layout of a figure once for all its files; matplotlib would do so twice for each file."""
+    """Compute the layout of a figure once for all files of it; matplotlib would compute it twice for each file."""
     engine = figure.get_layout_engine()
     if engine is not None:
         figure.set_dpi(PIXELS_PER_INCH)

@@ -56,7 +56,9 @@ MEDIAN_LIMIT: LineKey = ("the median at its limit", "-")
 
 @styled
 def sweep(result: Result) -> Figure:
-    """Plot a sweep over one axis as curves, over two as maps; further axes are held at their first value, and named.
+    """Plot a sweep over one axis as curves, or over two axes as maps.
+
+    Further axes are held at their first value, which the title names.
 
     Raises:
         ValueError: The result has no sweep.
@@ -70,7 +72,7 @@ def sweep(result: Result) -> Figure:
 
 
 def sweep_curves(result: Result) -> Figure:
-    """Plot the headline metric over one axis, and beside it the failure probability if there are requirements."""
+    """Plot the headline metric over one axis; with requirements, plot the failure probability beside it."""
     figure = Figure(figsize=SLIDE, layout="constrained")
     if result.study.requirements:
         left, right = figure.subplots(1, 2)
@@ -82,9 +84,10 @@ def sweep_curves(result: Result) -> Figure:
 
 
 def sweep_maps(result: Result) -> Figure:
-    """Plot two maps over two axes with a common legend: standings or the failure probability, and the headline metric.
+    """Plot two maps over two axes with a common legend.
 
-    Standings are plotted if the points were proved.
+    The left map shows the standings if the points were proved, and otherwise the failure probability. The right map
+    shows the headline metric.
     """
     figure = Figure(figsize=(SLIDE[0], SLIDE[1] + 0.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
@@ -108,8 +111,8 @@ def sweep_maps(result: Result) -> Figure:
 def probability(result: Result, ax: Axes | None = None) -> Figure:
     """Plot the failure probability over the first one or two axes of a sweep, with its exact interval.
 
-    Along one axis the interval is a band. On a map, the solid contour is at a probability of one half, and beyond the
-    dashed one the upper bound of the interval exceeds 5 %.
+    Along one axis the interval is a band. On a map, the probability is one half on the solid contour, and the upper
+    bound of the interval exceeds 5 % beyond the dashed contour.
 
     Args:
         result: A sweep; axes beyond the second are held at their first value.
@@ -131,7 +134,7 @@ def probability(result: Result, ax: Axes | None = None) -> Figure:
 
 @styled
 def standing(result: Result, ax: Axes | None = None) -> Figure:
-    """Plot the standing of each point of a sweep over two axes: proved, no draw fails, some draws fail, or all fail.
+    """Plot the standing of each point of a sweep over two axes: proved, no draw fails, some draws fail, or all do.
 
     Args:
         result: A sweep with proofs; axes beyond the second are held at their first value.
@@ -174,7 +177,7 @@ def required_text(result: Result) -> str:
 def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
     """Plot the median of a metric over the first one or two axes of a sweep.
 
-    Along one axis a band extends from the 5 to the 95 % quantile.
+    Along one axis, a band extends from the 5 % to the 95 % quantile.
 
     Args:
         result: A sweep; axes beyond the second are held at their first value.
@@ -200,7 +203,7 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
 def over_two_axes(result: Result) -> Result:
     """Reduce a result to its first two axes with several values, in ascending order, as a figure needs them.
 
-    The other axes are fixed at their first value, as the study lists them.
+    All other axes are fixed at the first value that the study lists.
 
     Raises:
         ValueError: The result has no sweep.
@@ -215,18 +218,23 @@ def over_two_axes(result: Result) -> Result:
 
 
 def ascending(result: Result, axes: Sequence[str]) -> Result:
-    """The result with the points along some axes of its sweep sorted by value; a study may list them in any order."""
+    """The result with the points sorted by value along some axes of its sweep.
+
+    A study may list the values of an axis in any order.
+    """
     return replace(result, dataset=result.dataset.sortby(list(axes)))
 
 
 def fixed_parameters_text(result: Result) -> str:
-    """The swept parameters that a figure shows at one value only, as "; NAME = VALUE" each, to continue its title."""
+    """The swept parameters that a figure shows at one value only, each as "; NAME = VALUE", to continue the title."""
     names = [name for name in result.study.axes if name not in result.dataset.dims]
     return "".join(f"; {name} = {result.dataset[name].item():g}" for name in names)
 
 
 def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
-    """Draw the failure probability as a map, with contours at one half and of the upper bound at 5 %.
+    """Draw the failure probability as a map, with two contours.
+
+    One contour is where the probability is one half. The other is where the upper bound of the interval is 5 %.
 
     Args:
         ax: Axes to draw into.
@@ -285,7 +293,10 @@ def median_map(ax: Axes, result: Result, measure: Measure, down: str, across: st
 
 
 def colour_cap(result: Result, measure: Measure) -> float | None:
-    """Upper end of a logarithmic map's colours: 30 times the metric's lowest upper limit; None without such a limit."""
+    """Upper end of a logarithmic map's colours: 30 times the lowest upper limit that the study sets for the metric.
+
+    An upper limit of 0 is ignored. Without another upper limit, the result is None.
+    """
     upper_limits: list[float] = []
     for requirement in result.study.requirements:
         if requirement.measure.name == measure.name and requirement.maximum:
@@ -336,7 +347,12 @@ def finish_map(ax: Axes, result: Result, down: str, across: str, keys: Sequence[
 
 
 def map_handles(result: Result, keys: Sequence[LineKey]) -> list[Line2D | Patch]:
-    """Legend entries of the white lines of a map: its contours, the study's own values, and the certified region."""
+    """Legend entries of a map: its contours, the study's own values, and the certified region.
+
+    Args:
+        result: A result over two axes.
+        keys: Text and line style of each contour.
+    """
     all_keys = list(keys)
     if any(reaches_study_value(result, name) for name in free_axes(result)):
         all_keys.append((STUDY_VALUE_LEGEND, ":"))

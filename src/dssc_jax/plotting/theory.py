@@ -26,14 +26,13 @@ def theory(
 ) -> Figure:
     """Plot local and simulated margins on the left, and oscillations beyond the local margin on the right.
 
-    The result of Theorem 1 for the walk of the first margins is written below, and marked by a line if it is on the
-    axis.
+    The result of Theorem 1 for the walk of the first margins is written below. If it is on the axis, a line marks it.
 
     Args:
-        margins: Margins over the same number, by criterion. Those of the sampled linearisation are dashed, those in
-            continuous time dotted.
-        oscillations: The return value of :func:`dssc_jax.analyses.theory.chattering`, by controller; without any, only
-            the left panel is drawn.
+        margins: Margins over the same number, by criterion. Those of the sampled linearisation are drawn dashed, those
+            in continuous time dotted.
+        oscillations: The return value of :func:`dssc_jax.analyses.theory.chattering`, by controller. If there are none,
+            only the left panel is drawn.
         local: Local critical value of the loop on the right whose gains are finite at the origin.
     """
     oscillations = oscillations or {}
@@ -47,7 +46,7 @@ def theory(
 
 
 def margins_panel(ax: Axes, margins: Mapping[str, Analysis]) -> None:
-    """Draw the distribution functions of the critical values by each criterion, and the result of Theorem 1."""
+    """Draw the distribution functions of the critical values, one for each criterion, and the result of Theorem 1."""
     summaries = {name: summary_of(analysis) for name, analysis in margins.items()}
     for colour, (name, analysis) in zip(cycle(THEORY_COLOURS), margins.items(), strict=False):
         draw_distribution(ax, analysis.dataset, summaries[name], name, colour)
@@ -70,7 +69,7 @@ def oscillations_panel(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: 
     Args:
         ax: Axes to draw into.
         oscillations: Amplitudes by controller.
-        local: Local margin [s]; None: it is not drawn.
+        local: Local margin [s]; None: no line is drawn for it.
     """
     for colour, (name, oscillation) in zip(cycle(THEORY_COLOURS), oscillations.items(), strict=False):
         swept_number = next(iter(oscillation.dims))  # the only dimension, named by the study's number
@@ -93,7 +92,7 @@ def oscillations_panel(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: 
 def draw_distribution(ax: Axes, margins: xr.Dataset, summary: MarginSummary, name: str, colour: str) -> None:
     """Draw the distribution function of critical values along the walk.
 
-    It does not begin at 0 if draws fail at the start of the walk, and does not reach 1 if draws pass to its end.
+    The curve begins above 0 if draws fail at the start of the walk, and ends below 1 if draws pass to its end.
 
     Args:
         ax: Axes to draw into.
@@ -114,7 +113,11 @@ def draw_distribution(ax: Axes, margins: xr.Dataset, summary: MarginSummary, nam
 
 
 def line_style(criterion: Sequence[str]) -> str:
-    """Line style of a criterion: solid if simulated, dashed if linearised and sampled, dotted in continuous time."""
+    """Line style of a criterion: solid if simulated, dashed if linearised and sampled, dotted in continuous time.
+
+    Args:
+        criterion: The criterion in words.
+    """
     text = " ".join(criterion)
     if "linearised" not in text:
         return "-"

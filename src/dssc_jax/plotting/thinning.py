@@ -57,6 +57,11 @@ def envelope(
 
 
 def spaced_indices(count: int, limit: int = PIXEL_COLUMNS) -> np.ndarray:
-    """At most ``limit`` evenly spaced indices from 0 to ``count - 1``, both included."""
+    """Evenly spaced indices from 0 to ``count - 1``, both included.
+
+    Args:
+        count: Number of points to choose from.
+        limit: Largest number of indices.
+    """
     indices = np.linspace(0, count - 1, min(count, limit))
     return np.unique(indices.round().astype(int))

@@ -28,7 +28,7 @@ WIND = ("wind_x", "wind_y", "wind_z")
 
 @styled
 def trajectory(run: xr.Dataset) -> Figure:
-    """Plot one draw over time: output, error, sigma, command, and the state-dependent functions if there are any.
+    """Plot one draw over time: output, error, sigma, command, and the controller's state-dependent functions, if any.
 
     For a plant of several channels, each channel has one row, with its command on the left and its error on the right.
 
@@ -90,7 +90,7 @@ def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Fi
     Args:
         run: The return value of ``simulate`` or ``replay``.
         names: Variables of the trajectory, at most five.
-        ax: Axes to draw into, for signals of one unit; None: a new figure.
+        ax: Axes to draw into, if all signals have one unit; None: a new figure.
 
     Raises:
         KeyError: The trajectory has no such signal.
@@ -125,7 +125,16 @@ class LineOptions(TypedDict, total=False):
 
 
 def line(ax: Axes, run: xr.Dataset, name: str, colour: str, text: str, **options: Unpack[LineOptions]) -> None:
-    """Draw one signal over time, with as many points as a figure can show."""
+    """Draw one signal over time, thinned to as many points as a figure can show.
+
+    Args:
+        ax: Axes to draw into.
+        run: The trajectory.
+        name: Name of the signal.
+        colour: Colour of the line.
+        text: Legend of the line.
+        options: Further options of the line.
+    """
     time, values = thinned(run["t"].values, run[name].values)
     ax.plot(time, values, color=colour, label=text, **options)
 
@@ -136,7 +145,10 @@ def bracketed_unit(run: xr.Dataset, name: str) -> str:
 
 
 def signal_label(run: xr.Dataset, name: str) -> str:
-    """An axis label of an output or a command: its meaning without symbol and the word "total", and its unit."""
+    """An axis label of an output or a command: its meaning and unit.
+
+    The symbol at the end of the meaning and the word "total" at its start are left out.
+    """
     attributes = run[name].attrs
     meaning = attributes["long_name"].removesuffix(" y").removesuffix(" u + u_n").removeprefix("total ")
     return label({"long_name": meaning, "units": attributes["units"]})
@@ -145,7 +157,7 @@ def signal_label(run: xr.Dataset, name: str) -> str:
 def flight(run: xr.Dataset) -> Figure:
     """Plot a plant of several channels: path, attitude and other signals of a vehicle, then commands and errors.
 
-    A channel whose error and command are rounding noise is left out, and named in the title.
+    A channel whose error and command are only rounding noise is left out, and the title names it.
     """
     channels = [str(name).removesuffix("_y_ref") for name in run if str(name).endswith("_y_ref")]
     active = [channel for channel in channels if not is_noise(run, channel)] or channels
@@ -188,7 +200,13 @@ def flight(run: xr.Dataset) -> Figure:
 
 
 def mark_events(ax: Axes, run: xr.Dataset, with_names: bool) -> None:
-    """Mark the times of a draw's events by lines, and with ``with_names`` write their kinds above."""
+    """Mark the times of a draw's events by vertical lines.
+
+    Args:
+        ax: Axes to draw into.
+        run: The trajectory; without events, nothing is drawn.
+        with_names: Whether to write the kind of each event above its line.
+    """
     kinds = np.atleast_1d(run.attrs.get("event_kinds", []))
     times = np.atleast_1d(run.attrs.get("event_times", []))
     for kind, time in zip(kinds, times, strict=True):
@@ -201,7 +219,14 @@ def mark_events(ax: Axes, run: xr.Dataset, with_names: bool) -> None:
 
 
 def channel_panels(left: Axes, right: Axes, run: xr.Dataset, channel: str) -> None:
-    """Draw the commands of a channel into the left axes, and its error into the right axes."""
+    """Draw the commands of a channel into the left axes, and its error into the right axes.
+
+    Args:
+        left: Axes of the commands.
+        right: Axes of the error.
+        run: The trajectory.
+        channel: Name of the channel.
+    """
     line(left, run, f"{channel}_u_total", GREY, "total $u + u_n$", linewidth=1.2)
     line(left, run, f"{channel}_u", RED, "robust $u$", linewidth=1.2)
     line(right, run, f"{channel}_e", BLUE, "error")
@@ -210,7 +235,13 @@ def channel_panels(left: Axes, right: Axes, run: xr.Dataset, channel: str) -> No
 
 
 def vehicle_panels(run: xr.Dataset) -> list[Callable[[Axes, xr.Dataset], None]]:
-    """The functions that draw attitude, rotors, wind and thrust of a vehicle, as far as the run has these signals."""
+    """The functions that draw attitude, rotors, wind and thrust of a vehicle.
+
+    A function whose signals are missing in the run is left out.
+
+    Args:
+        run: The trajectory.
+    """
     panels: list[Callable[[Axes, xr.Dataset], None]] = [attitude]
     if "rotor_1" in run:
         panels.append(rotors)
@@ -222,14 +253,18 @@ def vehicle_panels(run: xr.Dataset) -> list[Callable[[Axes, xr.Dataset], None]]:
 
 
 def is_noise(run: xr.Dataset, channel: str) -> bool:
-    """Whether a channel's error and command are rounding noise, compared with its output and reference, or with 1."""
+    """Whether a channel's error and command are rounding noise.
+
+    This is the case if both are tiny relative to the largest output or reference, or relative to 1 if these are
+    smaller.
+    """
     output_size = max(1.0, largest_magnitude(run, f"{channel}_y"), largest_magnitude(run, f"{channel}_y_ref"))
     signal_size = max(largest_magnitude(run, f"{channel}_e"), largest_magnitude(run, f"{channel}_u_total"))
     return signal_size <= ROUNDING_NOISE * output_size
 
 
 def largest_magnitude(run: xr.Dataset, name: str) -> float:
-    """Largest finite magnitude of a signal; 0 if there is none."""
+    """Largest finite magnitude of a signal; 0 if no value is finite."""
     values = np.abs(run[name].values)
     return float(np.max(values[np.isfinite(values)], initial=0.0))
 
@@ -273,7 +308,10 @@ def attitude(ax: Axes, run: xr.Dataset) -> None:
 
 
 def rotors(ax: Axes, run: xr.Dataset) -> None:
-    """Draw the commanded thrust of each rotor and its limit, and shade the times at which a rotor is at its limit."""
+    """Draw the commanded thrust of each rotor and the limit; shade the times at which a rotor is at its limit.
+
+    If the limit is far above all thrusts, the label names it in place of a line.
+    """
     endings = [str(name).removeprefix("rotor_") for name in run if str(name).startswith("rotor_")]
     numbers = [ending for ending in endings if ending.isdigit()]  # without rotor_limit and rotor_limited
     for index, number in enumerate(numbers):
@@ -297,13 +335,16 @@ def rotors(ax: Axes, run: xr.Dataset) -> None:
 
 
 def wind(ax: Axes, run: xr.Dataset) -> None:
-    """Draw the wind, and mark its onset if it does not blow from the start."""
+    """Draw the components of the wind, without those that are always 0.
+
+    If the wind does not blow from the start, a line marks its onset.
+    """
     for name, colour in zip(WIND, SIGNAL_COLOURS[: len(WIND)], strict=True):
         if largest_magnitude(run, name) > 0.0:
             line(ax, run, name, colour, name.removeprefix("wind_"))
     speeds = np.abs([run[name].values for name in WIND])
     windy_samples = np.flatnonzero((speeds > 0.0).any(axis=0))
-    if windy_samples[0] > 1:
+    if windy_samples[0] > 1:  # the first two samples count as the start
         onset = float(run["t"].values[windy_samples[0]])
         ax.axvline(onset, color=GREY, linestyle=":", label=f"onset at {onset:.3g} s")
     ax.set_ylabel("wind [m/s]")

@@ -49,7 +49,7 @@ def worst_wind(search: Analysis) -> Figure:
 
 
 def worst_text(answer: JsonObject) -> str:
-    """The worst value of a signal with its unit, in words; no value if the flight ends early."""
+    """The worst value of a signal with its unit, in words; "ends early" if the flight has no such value."""
     if answer["worst"] is None:
         return "ends early"
     value = f"{answer['worst']:.4g}"
@@ -57,7 +57,13 @@ def worst_text(answer: JsonObject) -> str:
 
 
 def draw_wind(ax: Axes, wind: xr.Dataset, smooth: bool) -> None:
-    """Draw the three components of a wind over time, as lines if it is smooth, else as steps."""
+    """Draw the three components of a wind over time, as lines if the wind is smooth, else as steps.
+
+    Args:
+        ax: Axes to draw into.
+        wind: The components ``wind_x``, ``wind_y`` and ``wind_z`` [m/s] over ``time`` [s].
+        smooth: Whether the wind varies continuously; otherwise each value holds until the next time.
+    """
     for axis, colour in COLOURS_OF_COMPONENTS.items():
         style = "default" if smooth else "steps-post"
         ax.plot(wind["time"], wind[f"wind_{axis}"], drawstyle=style, color=colour, label=f"along {axis}", linewidth=1.2)

@@ -45,7 +45,13 @@ def worst_loop(worst: Analysis) -> Figure:
 def margin_panel(ax: Axes, worst: Analysis, margin: str, loops: list[str]) -> None:
     """Draw the worst drawn, found and bounded value of one margin, one row for each break point.
 
-    Values that are not finite are left out; a text in the panel tells if all values of a kind are.
+    Values that are not finite are left out. If all values of a kind are, a text in the panel says so.
+
+    Args:
+        ax: Axes to draw into.
+        worst: The analysis.
+        margin: Name of the margin.
+        loops: Names of the break points, from the bottom row up.
     """
     label, scale = PANELS[margin]
     data = worst.dataset.sel(margin=margin)

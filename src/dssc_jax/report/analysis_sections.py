@@ -18,7 +18,7 @@ Meanings: TypeAlias = Mapping[str, FieldMeaning]
 
 
 def answer(subject: AnalysisSubject) -> Section:
-    """Section with the figure of an analysis, and the answer in one line as its caption."""
+    """Make the section with the figure of an analysis, whose caption is the answer in one line."""
     analysis = subject.result
     picture = inline_svg(analysis.figure, f"{analysis.title}: {analysis.headline}.", "answer")
     return Section("answer", "The answer", figure(picture, f"{analysis.headline}."))
@@ -32,10 +32,10 @@ def numbers(subject: AnalysisSubject) -> Section:
 
 
 def tables(caption: str, content: Mapping[str, object], meanings: Meanings, place: str = "") -> Iterator[h.Element]:
-    """Make tables of nested plain data: one of the single values, and one for each group of similar rows.
+    """Make tables of nested plain data: one of all single values, and one for each group of similar rows.
 
     Args:
-        caption: Caption of the first table; the captions of the others start with it.
+        caption: Caption of the first table; the captions of the other tables start with it.
         content: The data, a summary or a part of one.
         meanings: Unit and meaning of the numbers of the summary.
         place: Key of ``content`` in the summary; empty for the summary itself.
@@ -65,7 +65,8 @@ def row_table(caption: str, rows: Mapping[str, Mapping[str, object]], labels: Ma
 
     Args:
         caption: Caption of the table.
-        rows: Values of each row by column; a column that a row lacks, or whose value does not fit, stays empty there.
+        rows: Values of each row by column. The cell stays empty if the row lacks the column, or if the value does not
+            fit.
         labels: Header of each column.
     """
     cells = []
@@ -76,10 +77,10 @@ def row_table(caption: str, rows: Mapping[str, Mapping[str, object]], labels: Ma
 
 
 def entry_key(meanings: Meanings, place: str, name: str) -> str:
-    """Make the key by which the meaning of an entry is looked up.
+    """Return the key under which the meaning of an entry is stored.
 
-    All entries of a mapping from names to numbers share the key ``PLACE.NAME``. An entry without a meaning has the key
-    of the part of the summary that contains it, or its own name in the summary itself.
+    All entries of a mapping from names to numbers share the key ``PLACE.NAME``. An entry without a meaning of its own
+    has the key of the part of the summary that contains it; in the summary itself, it has its own name as key.
 
     Args:
         meanings: Unit and meaning of the numbers of the summary.
@@ -95,14 +96,23 @@ def entry_key(meanings: Meanings, place: str, name: str) -> str:
 
 
 def entry_label(meanings: Meanings, place: str, name: str) -> h.Node:
-    """Make the name of an entry, which :func:`entry_key` looks up; below it meaning and unit, if the entry has them."""
+    """Make the label of an entry: its name and, below it, the meaning and unit if :func:`entry_key` finds any.
+
+    Args:
+        meanings: Unit and meaning of the numbers of the summary.
+        place: Key of the part of the summary that contains the entry; empty for the summary itself.
+        name: Name of the entry.
+    """
     label = name.replace("_", " ")
     field = meanings.get(entry_key(meanings, place, name))
     return label if field is None else number_with_meaning(label, field.meaning, field.unit)
 
 
 def summary_rows(value: object) -> dict[str, Mapping[str, object]]:
-    """Find the rows of a mapping of mappings by name, or of a list of mappings by rank; empty for any other value."""
+    """Find the rows in a value of a summary; empty if the value has none.
+
+    A mapping of mappings has its rows by name, and a list of mappings has its rows by rank.
+    """
     rows = {}
     if isinstance(value, list):
         rows = {str(rank): row for rank, row in enumerate(value, start=1)}
@@ -133,7 +143,7 @@ def leading_words(columns: Sequence[str], rows: Collection[Mapping[str, object]]
 
 
 def cell(value: object) -> str | None:
-    """Format a single value or a short list; None if it does not fit into a cell."""
+    """Format a single value or a short list; None if the value does not fit into a cell."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):

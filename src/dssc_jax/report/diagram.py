@@ -45,7 +45,14 @@ class Drawing:
     elements: list[h.Element] = field(default_factory=list)
 
     def block(self, x: int, y: int, title: str, lines: Sequence[str] = ()) -> None:
-        """Add a block with its upper left corner at (x, y), a title, and up to two lines below it."""
+        """Add a block with a title and up to two lines below it.
+
+        Args:
+            x: Left edge [px].
+            y: Upper edge [px].
+            title: The title.
+            lines: The lines; empty ones are left out, and long ones are shortened.
+        """
         texts = [title, *(shorten(line) for line in lines if line)]
         baseline = y + HEIGHT // 2 - BASELINE_SKIP // 2 * (len(texts) - 1) + 5  # the lines stand around the middle
         labels = []
@@ -68,7 +75,13 @@ class Drawing:
             self.signal((x1 + x2) // 2, y1 - 7, label)
 
     def signal(self, x: int, y: int, name: str) -> None:
-        """Add the name of a signal."""
+        """Add the name of a signal at a place in the drawing.
+
+        Args:
+            x: Horizontal position [px].
+            y: Vertical position [px].
+            name: The name.
+        """
         self.elements.append(h.text(".signal", x=x, y=y)[name])
 
     def junction(self, x: int, y: int) -> None:
@@ -165,16 +178,16 @@ def draw_addition(
 
 
 def draw_feedback(drawing: Drawing, study: Study, start: int, target: int) -> int:
-    """Draw the feedback from the output to the controller, through sensor and differentiator if there are any.
+    """Draw the feedback from the output to the controller, through sensor and differentiator if the study has them.
 
     Args:
         drawing: The drawing.
         study: The study.
-        start: Horizontal position at which the feedback leaves the output.
-        target: Horizontal position at which it enters the controller from below.
+        start: Horizontal position at which the feedback leaves the output [px].
+        target: Horizontal position at which the feedback enters the controller from below [px].
 
     Returns:
-        Lower edge of the feedback.
+        Lower edge of the feedback [px].
     """
     drawing.elements.append(h.circle(".node", cx=start, cy=MIDDLE, r=3))
     slots = [slot for slot in ("sensor", "differentiator") if present_kinds(study, slot)]
@@ -198,7 +211,10 @@ def diagram_text(study: Study) -> str:
 
 
 def block_lines(study: Study, slot: str) -> list[str]:
-    """The lines below the title of a block: its kind, and which of its numbers are uncertain (~) or swept (⇄)."""
+    """The lines below the title of a block: the part's kind, and its numbers that are uncertain (~) or swept (⇄).
+
+    If there are more than two such numbers, only their count is given.
+    """
     table = getattr(study.config, slot)
     functions = table.get("functions") if isinstance(table, dict) else None
     functions_kind = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""
@@ -220,7 +236,12 @@ def last_field(name: str) -> str:
 
 
 def part_kind(study: Study, slot: str) -> str:
-    """The kind of a part of the loop; if the channels or measured signals have parts of their own, all their kinds."""
+    """The kind of a part of the loop; if channels or measured signals have different parts, the kinds of all of them.
+
+    Args:
+        study: The study.
+        slot: The kind of part, such as ``controller``.
+    """
     table = getattr(study.config, section_of(study.config, slot))
     common_kind = kind_in(study.config, slot)
     is_common = isinstance(table, list) or ("kind" in table and common_kind not in ABSENT)
@@ -231,7 +252,14 @@ def part_kind(study: Study, slot: str) -> str:
 
 
 def present_kinds(study: Study, slot: str) -> list[str]:
-    """The kinds of a part that do something, each once: of all channels, of single channels, of measured signals."""
+    """The kinds of a part that has an effect, each kind once.
+
+    The part may be set for all channels, for single channels, or for measured signals.
+
+    Args:
+        study: The study.
+        slot: The kind of part, such as ``sensor``.
+    """
     section = getattr(study.config, section_of(study.config, slot))
     parts = section
     if isinstance(section, dict):  # the part of all channels, with tables of single channels in it
@@ -242,7 +270,7 @@ def present_kinds(study: Study, slot: str) -> list[str]:
 
 
 def has_nominal(study: Study) -> bool:
-    """Whether the controller has a nominal part, told by the names of its numbers."""
+    """Whether the controller has a nominal part, by the names of the controller's numbers."""
     names = [name for name in study.leaves() if name.startswith("controller.")]
     return any("nominal" in name.split(".") for name in names)
 

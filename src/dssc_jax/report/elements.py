@@ -29,7 +29,7 @@ class Section(NamedTuple):
 
 
 def number(value: float | None) -> str:
-    """Format a number with four significant digits; None, the value of a draw that ended early, is infinite."""
+    """Format a number with four significant digits; None, the value of a draw that ended early, becomes infinite."""
     if value is None:
         return "∞"
     if math.isnan(value):
@@ -40,17 +40,28 @@ def number(value: float | None) -> str:
 
 
 def with_unit(value: float, unit: str) -> str:
-    """Format a number followed by its unit, if it has one."""
+    """Format a number, followed by its unit unless the unit is 1."""
     return number(value) if unit in ("", "1") else f"{number(value)} {unit}"
 
 
 def number_with_meaning(name: h.Node, meaning: str, unit: str) -> list[h.Node]:
-    """Show the name of a number, and below it its meaning and unit."""
+    """Show the name of a number, and below it its meaning and unit.
+
+    Args:
+        name: Name of the number.
+        meaning: Meaning in words.
+        unit: Unit.
+    """
     return [name, h.span(".meaning")[name_with_unit(meaning, unit)]]
 
 
 def probability_text(share: float, bounds: Sequence[float]) -> str:
-    """Format a probability; in place of 0 it is the upper bound of the interval, as "≤ BOUND"."""
+    """Format a probability; in place of 0, the upper bound of the interval is written as "≤ BOUND".
+
+    Args:
+        share: The probability, as the share of failed draws.
+        bounds: Lower and upper bound of the interval.
+    """
     _, upper = bounds
     return number(share) if share else f"≤ {upper:.3g}"
 
@@ -82,7 +93,12 @@ def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]]
 
 
 def table_row(row: Sequence[h.Node], classes: Sequence[str | None]) -> h.Element:
-    """Make a row of a table, with the CSS class of each column; its first cell is a header."""
+    """Make a row of a table, whose first cell is a header.
+
+    Args:
+        row: Content of each cell.
+        classes: CSS class of each column; None: no class.
+    """
     name, *values = row
     cells = [h.td(class_=class_)[value] for value, class_ in zip(values, classes[1:], strict=True)]
     return h.tr[h.th(scope="row", class_=classes[0])[name], cells]
@@ -94,7 +110,12 @@ def figure(picture: h.Node, caption: h.Node) -> h.Element:
 
 
 def scrollable(name: str, content: h.Node) -> h.Element:
-    """Wrap content that may be wider than a screen, so that it scrolls separately, also by keyboard."""
+    """Wrap content that may be wider than a screen, so that it scrolls within the page, also by keyboard.
+
+    Args:
+        name: Name of the content, for screen readers.
+        content: The content.
+    """
     return h.div(".scroll", role="region", tabindex="0", aria_label=name)[content]
 
 
@@ -104,5 +125,11 @@ def facts(pairs: Sequence[tuple[str, h.Node]], class_: str = "facts") -> h.Eleme
 
 
 def collapsible(summary: str, body: h.Node, on_paper: bool = False) -> h.Element:
-    """Content that is hidden behind its summary until a reader expands it; with ``on_paper`` it is printed."""
+    """Make content that is hidden behind its summary until a reader expands it.
+
+    Args:
+        summary: The line that is always shown.
+        body: The content.
+        on_paper: Whether the content is printed even while it is hidden.
+    """
     return h.details(class_="printed" if on_paper else None)[h.summary[summary], body]

@@ -36,7 +36,7 @@ class IndexRow(NamedTuple):
         probability: Failure probability of a run; failure probabilities of a sweep's best and worst point.
         interval: Interval of the failure probability of a run.
         worst_probability: Failure probability of the worst point, by which the index is sorted; -1 for an analysis.
-        trouble: Reason why the folder cannot be shown; empty if it can.
+        trouble: Reason why the folder cannot be shown; empty if it can be shown.
     """
 
     folder: Path
@@ -52,14 +52,17 @@ class IndexRow(NamedTuple):
 
 
 def indexed_folders(root: Path) -> Iterator[Path]:
-    """All folders of results and analyses below a folder, and its direct subfolders that contain no such folder."""
+    """All folders that the index lists.
+
+    These are the folders of results and analyses below a folder, and its direct subfolders that contain no such folder.
+    """
     for child in sorted(path for path in root.iterdir() if path.is_dir()):
         result_folders = [] if child.is_symlink() else folders_with_results(child)
         yield from result_folders or [child]
 
 
 def folders_with_results(top: Path) -> list[Path]:
-    """Find the folders of results and analyses at and below a folder; those within another one are left out."""
+    """Find the folders of results and analyses at and below a folder; a folder within a found one is left out."""
     result_folders = []
     for place, subfolders, file_names in os.walk(top):
         if not DESCRIPTIONS.isdisjoint(file_names):
@@ -70,7 +73,7 @@ def folders_with_results(top: Path) -> list[Path]:
 
 
 def index_row(folder: Path, on_report: Callable[[Path], None]) -> IndexRow:
-    """Make the row of a folder; a report that is missing, damaged or out of date is written first.
+    """Make the row of a folder; if its report is missing, damaged or out of date, the report is written first.
 
     Args:
         folder: The folder.
@@ -139,7 +142,7 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
 def sorted_rows(rows: Iterable[IndexRow]) -> list[IndexRow]:
     """Sort the rows by study, then by date with the newest first, then by the failure probability of the worst point.
 
-    Each sort keeps the order of rows that are equal for it, so the last key of the order is sorted first.
+    Sorting is stable: rows that are equal in one key keep their order. Therefore the last key is sorted first.
     """
     by_probability = sorted(rows, key=attrgetter("worst_probability"))
     by_date = sorted(by_probability, key=attrgetter("started"), reverse=True)
@@ -191,7 +194,7 @@ def trouble_table(root: Path, rows: list[IndexRow]) -> h.Element:
 
 
 def report_link(root: Path, row: IndexRow) -> h.Element:
-    """Make the study's name as a link to the report, relative to the index."""
+    """Make the study's name as a link to the report of a row; the address is relative to the index."""
     return h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study]
 
 

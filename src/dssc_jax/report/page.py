@@ -149,12 +149,14 @@ def write(result: Result | Analysis, path: str | Path, worst: int = WORST_DRAWS)
 
 
 def write_page(text: str, path: Path, result: Result | Analysis | None = None) -> None:
-    """Write a page; characters that UTF-8 does not have, lone surrogates of damaged names, are replaced.
+    """Write a page.
+
+    Characters that UTF-8 does not have, such as lone surrogates of damaged names, are replaced.
 
     Args:
         text: The page.
         path: The file.
-        result: The result or analysis that the page shows, which a comment at its end identifies for
+        result: The result or analysis that the page shows. A comment at the end of the page identifies it for
             :func:`is_current`; None: no comment.
     """
     content = text.encode("utf-8", "replace")
@@ -164,7 +166,14 @@ def write_page(text: str, path: Path, result: Result | Analysis | None = None) -
 
 
 def last_line(content: bytes, result: Result | Analysis) -> bytes:
-    """The comment at the end of a report, with a digest of the page, which finds truncation, and one of its result."""
+    """The comment at the end of a report, with two digests.
+
+    The digest of the page reveals a truncated file, and the digest of the result reveals a report that is out of date.
+
+    Args:
+        content: The page without this comment.
+        result: The result that the page shows.
+    """
     digest = hashlib.sha256(content).hexdigest()
     return f"\n<!-- dssc_jax: page {digest} of result {result_digest(result)} -->\n".encode()
 
@@ -177,7 +186,11 @@ def result_digest(result: Result | Analysis) -> str:
 
 
 def is_current(path: Path, result: Result | Analysis) -> bool:
-    """Whether a file is the complete report of a result in its present state, by the comment at the file's end."""
+    """Whether a file is the complete report of a result in its present state.
+
+    The comment at the file's end must be the one that :func:`last_line` gives. A file that cannot be read is not
+    current.
+    """
     try:
         content = files.read_bytes(path)
     except OSError:

@@ -54,7 +54,10 @@ def largest_error_statement(result: Result, proofs: SweepProofs) -> h.Node:
 
 
 def bound_table(result: Result, proofs: SweepProofs) -> h.Node:
-    """Table of the proved points: the bounds that a vehicle never exceeds, or the bound of |e| once settled."""
+    """Table of the proved points with their bounds.
+
+    The bounds are those that a vehicle never exceeds. If the proofs have none, it is the bound of |e| after settling.
+    """
     axes = result.study.axes
     columns = proofs.bounds
     units = {bound.label: bound.unit for bound in BOUNDS}

@@ -45,7 +45,10 @@ CHATTERING_METRICS = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", 
 
 
 def outcome(subject: Subject) -> Section:
-    """Section on how the draws ended, with intervals; for a sweep, on its points and the draws of one of them."""
+    """Make the section on how the draws ended, with intervals.
+
+    For a sweep, the section has tables of its points, and of the draws of the one point that is shown in detail.
+    """
     if subject.result.study.axes:
         body = [*point_tables(subject), *outcome_tables(subject), integration(subject)]
         return Section("outcome", "The outcome", body)
@@ -55,7 +58,7 @@ def outcome(subject: Subject) -> Section:
 
 
 def stated_errors(subject: Subject) -> h.Node:
-    """Table of the failure probability if the laws are wrong by stated amounts; None if no amounts were stated."""
+    """Table of the failure probability under laws that are wrong by stated amounts; None if no amounts were stated."""
     amounts = subject.result.stated
     if not amounts:
         return None
@@ -118,7 +121,10 @@ def ending_rows(subject: Subject) -> list[tuple[h.Node, ...]]:
 
 
 def violation_rows(subject: Subject) -> list[tuple[h.Node, ...]]:
-    """Rows of the table of outcomes: how many draws violate each requirement, this one alone, and this one first."""
+    """Rows of the table of outcomes: how many draws violate each requirement, this one alone, and this one first.
+
+    The last cell is the median time of violation [s].
+    """
     rows: list[tuple[h.Node, ...]] = []
     pairs = zip(subject.point_result.study.requirements, subject.point_summary["requirements"], strict=True)
     for requirement, failures in pairs:
@@ -130,7 +136,10 @@ def violation_rows(subject: Subject) -> list[tuple[h.Node, ...]]:
 
 
 def joint_violations(point: SummaryRow, study: Study) -> list[h.Node]:
-    """Table of the pairs of requirements that the same draws violate, or a remark that no draw violates two."""
+    """Table of the pairs of requirements that the same draws violate.
+
+    If no draw violates two requirements, a remark says so. With a single requirement, there is nothing.
+    """
     if len(point["requirements"]) < 2:
         return []
     pairs = [pair for pair in point["overlaps"] if pair["draws"]]
@@ -146,13 +155,16 @@ def joint_violations(point: SummaryRow, study: Study) -> list[h.Node]:
 
 
 def failure_cells(row: SummaryRow) -> tuple[str, str, str]:
-    """Cells with number, probability and interval of the failures at a point, or of one requirement there."""
+    """Cells with number, probability and interval of the failures at a point, or of one requirement's violations."""
     bounds = row["interval"]
     return f"{row['failures']:,}", probability_text(row["probability"], bounds), interval(bounds)
 
 
 def point_tables(subject: Subject) -> list[h.Node]:
-    """Table of three points of a sweep, the best, the worst and the one shown in detail; and one of all points."""
+    """Make a table of three points of a sweep, and a collapsible table of all points.
+
+    The three points are the best one, the worst one, and the one that is shown in detail.
+    """
     study = subject.result.study
     points = subject.summary["points"]
     axes = [name_with_unit(name, study.quantities[name].unit) for name in study.axes]
@@ -178,7 +190,10 @@ def point_tables(subject: Subject) -> list[h.Node]:
 
 
 def point_cells(subject: Subject, point: SummaryRow) -> tuple[h.Node, ...]:
-    """Cells of a point of a sweep: its values, failures, main failure, median of the headline metric, certificate."""
+    """Cells of a point of a sweep: its values, failures, most violated requirement, median, and verdict of Theorem 1.
+
+    The median is that of the headline metric. With a single requirement, the cell of the most violated one is left out.
+    """
     values = (number(point[name]) for name in subject.result.study.axes)
     measure = headline_measure(subject.result.study)
     median = quantile_value(point["metrics"][measure.name], "q50", measure.metric.worst)
@@ -276,7 +291,7 @@ def causes(subject: Subject) -> Section | None:
 
 
 def worst_draws_section(subject: Subject) -> Section | None:
-    """Section with the draws of the smallest slacks over time; None if none are to be simulated again."""
+    """Section with the draws of the smallest slacks over time; None if no draws are to be simulated again."""
     if subject.worst and isinstance(subject.result.study, Described):
         names = ", ".join(subject.result.study.code)
         return Section("worst", "The worst draws", h.p[FOREIGN_CODE, h.code[names], "."])
@@ -300,7 +315,7 @@ def worst_draws_section(subject: Subject) -> Section | None:
 
 
 def trajectory_without_title(run: xr.Dataset) -> Figure:
-    """Plot a trajectory without a title, since its caption says the same."""
+    """Plot a trajectory without a title, because the caption in the report says the same."""
     figure = plotting.trajectory(run)
     figure.suptitle("")
     return figure
@@ -363,7 +378,7 @@ def off_reference_sentence(subject: Subject) -> str:
 
 
 def headline_verdict(subject: Subject) -> tuple[str, str]:
-    """The failure probability in a few characters, and its counts and interval in one sentence."""
+    """The failure probability in a few characters, and the counts and the interval behind it in one sentence."""
     points = subject.summary["points"]
     if not subject.result.study.axes:
         point = points[0]  # a run has one

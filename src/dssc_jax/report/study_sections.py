@@ -88,10 +88,10 @@ def laws(subject: AnySubject) -> Section | None:
 
 
 def law_cells(study: Study, name: str) -> tuple[h.Node, ...]:
-    """Cells of an uncertain number: its label, law, density, median, and 5 and 95 % quantile.
+    """Cells of an uncertain number: its label, law, density, median, and 5 % and 95 % quantiles.
 
-    If the arguments of the law are ranges, the law in the middle gives the density, and the corners of the ranges give
-    the lowest and the highest quantile.
+    If the arguments of the law are ranges, the density is that of the law in the middle of the ranges. The quantiles
+    are then the lowest and the highest over the corners of the ranges.
     """
     law = study.written_laws[name]
     is_ranged = isinstance(law, RangedLaw)
@@ -180,7 +180,7 @@ def study_file(study: Study, usage: h.Node) -> h.Element:
 
 
 def manifest_table(manifest: Manifest, name: str) -> Manifest:
-    """A table of the manifest; empty if it is damaged, since the report is then still of use."""
+    """A table of the manifest; empty if it is missing or damaged, because a report without it is still of use."""
     table = manifest.get(name)
     return table if isinstance(table, dict) else {}
 
@@ -203,7 +203,7 @@ def time_text(text: str) -> str:
 
 
 def without_none(table: Mapping[str, object]) -> dict[str, object]:
-    """A table without its None values, since TOML has no null, and an absent name means the same."""
+    """A table without its None values: TOML has no null, and leaving a name out means the same."""
     return {name: value_without_none(value) for name, value in table.items() if value is not None}
 
 

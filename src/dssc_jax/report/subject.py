@@ -79,7 +79,7 @@ class Subject:
     def trajectories(self) -> list[xr.Dataset]:
         """Trajectories of the worst draws at the point shown in detail; none for a study whose code is not loaded.
 
-        The attributes ``agreement`` and ``deviation`` compare them with the stored draws.
+        The attributes ``agreement`` and ``deviation`` of a trajectory tell how well it agrees with the stored draw.
         """
         if not self.worst or isinstance(self.result.study, Described):
             return []
@@ -101,8 +101,8 @@ AnySubject: TypeAlias = Subject | AnalysisSubject
 def worst_draws(result: Result, count: int) -> list[int]:
     """Indices of the worst draws at one point, the worst first.
 
-    Draws are sorted by their smallest slack relative to the scale of its bound; without requirements, by the value of
-    the headline metric. Among equals, those that ended earlier come first.
+    Draws are sorted by their smallest slack, relative to the scale of its requirement. Without requirements they are
+    sorted by the headline metric. Among draws with equal values, those that ended earlier come first.
 
     Args:
         result: A run, or one point of a sweep.

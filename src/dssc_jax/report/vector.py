@@ -54,9 +54,14 @@ def inline_svg(draw: Callable[[], Figure], text: str, prefix: str) -> Markup:
 
 
 def page_content(content: str, prefix: str) -> str:
-    """What follows the opening tag of a figure's SVG, made fit for the page.
+    """The part of a figure's SVG after its opening tag, made fit for the page.
 
-    Metadata and needless digits are removed, identifiers get the prefix, and colours become those of the page.
+    Metadata and needless digits are removed, and the figure's colours are replaced by those of the page. Identifiers
+    get a prefix, so that no two figures on a page share an identifier.
+
+    Args:
+        content: The SVG after its opening tag.
+        prefix: The prefix.
     """
     content = re.sub(r"<metadata>.*?</metadata>", "", content, flags=re.DOTALL)
     content = re.sub(r' d="[^"]*"', lambda path: MANY_DIGITS.sub(r"\1", path[0]), content)

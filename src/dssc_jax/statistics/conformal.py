@@ -68,8 +68,8 @@ def line_rank(draws: int) -> int:
 def beyond_p_value(count: int, flights: int, draws: int) -> float:
     """P-value of the hypothesis that the flights have the law of the draws.
 
-    It is the probability that at least so many flights lie beyond the line, the :func:`line_rank`-th largest number of
-    the draws.
+    The line is the :func:`line_rank`-th largest number of the draws. The p-value is the probability that at least
+    ``count`` flights lie beyond the line.
 
     Args:
         count: Number of flights beyond the line.
@@ -125,10 +125,10 @@ def flights_to_refute(share: float, draws: int, confidence: float = CONFIDENCE) 
     Args:
         share: True share of all flights beyond the line.
         draws: Number of draws that give the line.
-        confidence: Confidence of the test, and probability that it refutes.
+        confidence: Confidence of the test, and probability that the test refutes.
 
     Returns:
-        None if :data:`MOST_FLIGHTS` do not suffice.
+        The number of flights; None if :data:`MOST_FLIGHTS` do not suffice.
     """
     flights = np.arange(1, MOST_FLIGHTS + 1)
     refuting_counts = np.argmax(beyond_tails(draws) <= 1.0 - confidence, axis=1)  # fewest flights that refute
@@ -142,10 +142,10 @@ def flights_to_confirm(share: float, draws: int, confidence: float = CONFIDENCE)
     Args:
         share: Upper bound to show, above :data:`TAIL_SHARE`.
         draws: Number of draws that give the line.
-        confidence: Confidence of the interval of that share, and probability that it ends below the bound.
+        confidence: Confidence of the interval of the share, and probability that the interval ends below the bound.
 
     Returns:
-        None if :data:`MOST_FLIGHTS` do not suffice.
+        The number of flights; None if :data:`MOST_FLIGHTS` do not suffice.
     """
     flights = np.arange(1, MOST_FLIGHTS + 1)
     most_expected = np.argmax(beyond_tails(draws) <= 1.0 - confidence, axis=1) - 1  # flights beyond, if it is right
@@ -157,6 +157,6 @@ def first_flights(condition: np.ndarray) -> int | None:
     """Smallest number of flights that meets a condition; None if no number does.
 
     Args:
-        condition: Whether 1, 2, ... flights meet it, shape (:data:`MOST_FLIGHTS`,).
+        condition: Whether each number 1, 2, ... of flights meets the condition, shape (:data:`MOST_FLIGHTS`,).
     """
     return int(np.argmax(condition)) + 1 if condition.any() else None

@@ -45,7 +45,7 @@ class FirstOrder(NamedTuple):
     time: float
 
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transition matrices of the state over gaps [s], and the variances they add; shape (n, 1, 1) each."""
+        """Transition factor of the state over gaps [s], and the variance that each gap adds; shape (n, 1, 1) each."""
         w = (gaps / self.time)[:, None, None]  # gaps in time constants
         return np.exp(-w), -np.expm1(-2.0 * w)
 
@@ -68,10 +68,13 @@ class SecondOrder(NamedTuple):
     damping: float
 
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transition matrices of the state over gaps [s], and the covariances they add; shape (n, 2, 2) each.
+        """Transition matrices F of the state over gaps [s], and the covariance that each gap adds; (n, 2, 2) each.
 
-        The covariance is 1 - F F' with the transition F. Over short gaps this cancels; there it is the integral of
-        4 zeta r r' over the gap, by Gauss and Legendre, where r is the response of the state to an impulse.
+        The covariance is 1 - F F'. Over short gaps the difference cancels, so there it is computed as the integral of 4
+        zeta r r' over the gap, by Gauss-Legendre quadrature, where r is the response of the state to an impulse.
+
+        Args:
+            gaps: Times between observations [s], shape (n,).
         """
         w = gaps / self.time
         transition = self.transition_over(w)
@@ -89,7 +92,7 @@ class SecondOrder(NamedTuple):
         """Transition matrices of the state over w time constants T, shape (n, 2, 2).
 
         Args:
-            w: Shape (n,).
+            w: Duration in time constants T, shape (n,).
         """
         cosine, sine = self.oscillation(w)
         output = [cosine + self.damping * sine, sine]
@@ -97,7 +100,7 @@ class SecondOrder(NamedTuple):
         return np.array([output, rate]).transpose(2, 0, 1)
 
     def oscillation(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The functions exp(-zeta w) cos(nu w) and exp(-zeta w) sin(nu w)/nu of w time constants, of its shape each."""
+        """The functions exp(-zeta w) cos(nu w) and exp(-zeta w) sin(nu w)/nu of w time constants, each of w's shape."""
         nu = math.sqrt((1.0 - self.damping) * (1.0 + self.damping))
         decay = np.exp(-self.damping * w)
         return decay * np.cos(nu * w), decay * w * np.sinc(nu * w / np.pi)
@@ -109,10 +112,10 @@ class SecondOrder(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """Noise whose correlated part p, the drift, is the integral of first-order noise v, both starting at 0.
+    """Noise whose correlated part p, the drift, is the integral of first-order noise v; both start at 0.
 
-    Noise inside a velocity loop drives the position like this. The variance of p grows with time; p is scaled so that
-    the mean of its variance over the span is 1. For a short T the drift is a random walk.
+    Noise inside a velocity loop drives the position like this. The variance of p grows with time. p is scaled so that
+    its variance has the mean 1 over the span. For a short T the drift is a random walk.
 
     Args:
         share: Share c of the variance in the drift, in [0, 1).
@@ -125,7 +128,7 @@ class Drift(NamedTuple):
     span: float
 
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transition matrices of the state (p, v) over gaps [s], and the covariances they add; shape (n, 2, 2) each."""
+        """Transition matrices of the state (p, v) over gaps [s], and the covariance of each gap; (n, 2, 2) each."""
         w = gaps / self.time
         p_scale = 1.0 / math.sqrt(self.mean_square)
         transition = np.zeros((len(w), 2, 2))
@@ -143,16 +146,20 @@ class Drift(NamedTuple):
 
     @property
     def mean_square(self) -> float:
-        """Mean over the span of the variance of p before it is scaled, where v tends to the variance 1."""
+        """Mean over the span of the variance of the unscaled p, for a v whose variance tends to 1."""
         w = self.span / self.time
         decay = math.exp(-w)
         return w - 3.0 + (4.0 * (1.0 - decay) - 0.5 * (1.0 - decay**2)) / w
 
     def covariance(self, first: np.ndarray | float, second: np.ndarray | float) -> np.ndarray:
-        """Covariance of the drift between two times since its start [s], of their broadcast shape.
+        """Covariance of the drift p between two times, of the times' broadcast shape.
 
-        From the earlier time on, p is expected to change by v (1 - exp(-w)) over w time constants T, with the v of that
-        time.
+        Given the rate v at the earlier time, p is expected to change by v (1 - exp(-w)) over the next w time constants
+        T.
+
+        Args:
+            first: Time since the start of the drift [s].
+            second: The other time [s], earlier or later.
         """
         earlier = np.minimum(first, second) / self.time
         relaxation = -np.expm1(-np.abs(first - second) / self.time)
@@ -162,7 +169,7 @@ class Drift(NamedTuple):
 def drift_variance(w: np.ndarray) -> np.ndarray:
     """Variance 2 w - 3 + 4 exp(-w) - exp(-2 w) of an unscaled drift after w time constants, of the shape of w.
 
-    For small w the terms cancel, and their power series takes their place.
+    For small w the terms cancel; there the power series of the sum is used.
     """
     decay = np.exp(-w)
     # of w^3, w^4, ...
@@ -196,9 +203,9 @@ def correlation_time(noise: Noise) -> float:
 
 
 def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> float:
-    """Effective sample size: the number of independent samples that tell the noise's variance as precisely as these n.
+    """Effective sample size: the number of independent samples that determine the variance as precisely as these n.
 
-    It is (tr S)^2/tr(S^2) with the covariance S of the noise.
+    With the covariance S of the noise it is (tr S)^2/tr(S^2).
 
     Args:
         noise: Noise of unit variance.
@@ -231,7 +238,7 @@ class StatePrecision(NamedTuple):
 
     Args:
         bands: Lower bands of the matrix, as SciPy stores them, shape (2 p, n p).
-        log_determinant: Logarithm of its determinant.
+        log_determinant: Logarithm of the matrix's determinant.
         size: Length p of a state.
     """
 
@@ -341,11 +348,11 @@ class NoiseFit(NamedTuple):
 
 
 def fit_noise(noise: Noise, times: np.ndarray, columns: np.ndarray, floor: float = 0.0) -> NoiseFit:
-    """Generalised least squares of a residual under a noise: restricted likelihood and normal equations.
+    """Fit numbers to a residual under a given noise, by generalised least squares and restricted likelihood.
 
-    The fitted numbers and the variance of the noise are integrated out, with flat priors of the numbers and of the
-    logarithm of the variance. Directions in which the residual does not depend on the numbers are left out. The
-    variance is its posterior mean.
+    The fitted numbers and the variance of the noise are integrated out, under flat priors for the numbers and for the
+    logarithm of the variance. Directions of the numbers on which the residual does not depend are left out. The
+    returned variance is the posterior mean.
 
     Args:
         noise: Correlation of the noise; its variance is estimated.

@@ -29,10 +29,10 @@ HALVINGS = 80  # halvings of [p, 1]: the last digit of any probability above 1e-
 
 @dataclass(frozen=True)
 class DivergenceBall(ABC):
-    """A divergence, which measures how far a true law is from the assumed law, and the bounds that follow from it.
+    """A measure of how far a true law is from the assumed law, a divergence, and the bounds that follow from it.
 
-    The ball of a radius contains all laws within this divergence of the assumed law. Methods give the extreme failure
-    probabilities in such a ball.
+    The ball of a radius contains all laws whose divergence from the assumed law is at most the radius. The methods give
+    the extreme failure probabilities in such a ball.
     """
 
     title: ClassVar[str]
@@ -40,7 +40,12 @@ class DivergenceBall(ABC):
 
     @abstractmethod
     def divergence(self, q: float, p: float) -> float:
-        """Least divergence D(Ber(q), Ber(p)) from a law with failure probability p to a law with q."""
+        """Least divergence D(Ber(q), Ber(p)) of a law with failure probability q from a law with failure probability p.
+
+        Args:
+            q: Failure probability of the true law, in [0, 1].
+            p: Failure probability of the assumed law, in [0, 1].
+        """
 
     @abstractmethod
     def worst(self, p: float, radius: float) -> float:
@@ -55,7 +60,7 @@ class DivergenceBall(ABC):
         """
 
     def best(self, p: float, radius: float) -> float:
-        """Smallest failure probability of any law within the radius: the complement of the most likely passing.
+        """Smallest failure probability of any law within the radius: 1 minus the largest probability of passing.
 
         Args:
             p: Failure probability of the assumed law, in [0, 1].
@@ -80,11 +85,13 @@ class DivergenceBall(ABC):
         """Largest radius within which no law has a failure probability above the limit.
 
         Args:
-            p: Failure probability of the assumed law, in [0, 1]; its upper limit gives a lower limit of the radius.
+            p: Failure probability of the assumed law, in [0, 1]. With the upper limit of its interval, the result is a
+                lower limit of the radius.
             limit: Largest failure probability allowed, in (0, 1).
 
         Returns:
-            0 if p is at the limit or above. Infinity if p is 0 and remains 0 under every law within a finite radius.
+            The radius; 0 if p is at the limit or above. Infinity if p is 0 and remains 0 under every law within a
+            finite radius.
 
         Raises:
             ValueError: An argument is out of range.
@@ -124,7 +131,7 @@ class KullbackLeibler(DivergenceBall):
         return float(special.rel_entr(q, p) + special.rel_entr(1.0 - q, 1.0 - p))
 
     def worst(self, p: float, radius: float) -> float:
-        """Largest failure probability q within the radius, where the divergence equals the radius; by bisection."""
+        """Largest failure probability q within the radius, by bisection: the divergence of q equals the radius."""
         require_ball(p, radius)
         if p in (0.0, 1.0) or radius == 0.0:
             return p

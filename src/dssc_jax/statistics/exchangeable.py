@@ -22,10 +22,10 @@ ROUNDING = 1e-12  # share of the largest signal's size below which a signal coun
 
 
 def spread_signals(curves: np.ndarray, tested: np.ndarray) -> np.ndarray:
-    """Whether each signal has spread: at least two of all n + 1 curves differ from their pointwise median in it.
+    """Whether each signal has spread: at least two of all n + 1 curves differ from the pointwise median in this signal.
 
-    Otherwise, or if a signal is rounding beside the other signals, rounding alone would decide the rank. The selection
-    does not depend on the order of the curves, so the test remains exact.
+    A signal without spread, or one as small as the rounding of the other signals, is left out, because rounding alone
+    would decide its ranks. The selection does not depend on the order of the curves, so the test remains exact.
 
     Args:
         curves: Shape (n, signals, times). NaN: the curve has ended.
@@ -112,7 +112,7 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
 
 
 def departure_ranks(largest: np.ndarray) -> np.ndarray:
-    """Rank of each curve in each signal: how many curves, itself included, depart at least as far.
+    """Rank of each curve in each signal: the number of curves, including itself, that depart at least as far.
 
     Args:
         largest: Largest departures, NaN in a signal without spread, shape (n + 1, signals).
@@ -135,9 +135,9 @@ def columns_with_spread(largest: np.ndarray) -> list[np.ndarray]:
 def continuous_ranks(largest: np.ndarray) -> np.ndarray:
     """Ranks of the curves in each signal, in which the most extreme curve ranks below 1 by its lead.
 
-    They are the ranks of :func:`departure_ranks`, except for a curve that is alone at the first rank. Its rank is
-    exp(-g), where g is the gap from the first to the second curve, relative to the distance from the second to the
-    last.
+    The ranks are those of :func:`departure_ranks`, except for a curve that is alone at the first rank. Such a curve has
+    the rank exp(-g). The gap g is the lead of the first curve over the second, divided by the distance from the second
+    to the last.
 
     Args:
         largest: Largest departures, NaN in a signal without spread, shape (n + 1, signals).
@@ -160,9 +160,9 @@ def continuous_ranks(largest: np.ndarray) -> np.ndarray:
 def extremeness(largest: np.ndarray) -> np.ndarray:
     """Statistic of each curve for the rank test, larger for a more extreme curve, shape (n + 1,).
 
-    Curves are compared by their smallest continuous rank over the signals, then by their second smallest, and so on;
-    curves with equal ranks, by their largest departure. The statistic is the place in this order, 0 for the least
-    extreme curve; NaN if no signal has spread.
+    Curves are compared by their smallest continuous rank over the signals, then by their second smallest, and so on.
+    Curves with equal ranks are compared by their largest departure. The statistic is the place in this order, 0 for the
+    least extreme curve; NaN if no signal has spread.
 
     Args:
         largest: Largest departures, NaN in a signal without spread, shape (n + 1, signals).
@@ -202,7 +202,7 @@ class Yardstick(NamedTuple):
 
     @classmethod
     def of(cls, curves: np.ndarray) -> "Yardstick":
-        """Median and spread of curves; a signal in which all curves are equal, but for rounding, has no spread.
+        """Median and spread of curves; a signal has no spread if all of its curves are equal up to rounding.
 
         Args:
             curves: Shape (n, signals, times); at least one must be finite at each time.

@@ -16,7 +16,7 @@ import numpy as np
 class Change(ABC):
     """A family of changed laws of the scores, such as all shifted laws.
 
-    Its size is the largest amount of a change.
+    Each member has one amount of change per number. The size of a member is its largest amount.
 
     Args:
         precision: Inverse of the correlation matrix R, shape (numbers, numbers).
@@ -37,7 +37,7 @@ class Change(ABC):
 
     @abstractmethod
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Logarithm of each draw's importance weight: its density under the changed law over its present density.
+        """Logarithm of each draw's importance weight: the changed density of the draw over its present density.
 
         Args:
             amounts: Amount of the change of each number, shape (numbers,).
@@ -64,7 +64,8 @@ class Change(ABC):
     def log_second_moment(self, amounts: np.ndarray) -> float:
         """Logarithm of the mean squared weight under the unchanged law, shape (); infinite if the mean is infinite.
 
-        It tells how uneven the weights are: n draws are worth n/(mean squared weight) draws of the changed law.
+        The mean squared weight tells how uneven the weights are: n draws are worth n/(mean squared weight) draws of the
+        changed law.
 
         Args:
             amounts: Amount of the change of each number, shape (numbers,).
@@ -103,7 +104,7 @@ class Shift(Change):
         return size
 
     def limits(self, size: float) -> tuple[float, float]:
-        """A mean may move up or down by the size."""
+        """Least and greatest shift of each mean [standard deviations]: a mean may move up or down by the size."""
         return -size, size
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
@@ -120,9 +121,14 @@ class Shift(Change):
         return float(amounts @ self.precision @ amounts)
 
     def log_second_moment_bound(self, size: float, free: np.ndarray) -> float:
-        """Upper bound of d' R^-1 d, the logarithm of the mean squared weight, over all |d_i| <= size of free numbers.
+        """Upper bound of d' R^-1 d over all shifts d of the free numbers with |d_i| <= size.
 
-        It is the squared size times the sum of |entry| over the entries of R^-1 of these numbers.
+        d' R^-1 d is the logarithm of the mean squared weight. The bound is the squared size times the sum of |entry|
+        over the entries of R^-1 that belong to the free numbers.
+
+        Args:
+            size: Largest shift [standard deviations].
+            free: Whether the law of each number may change, shape (numbers,).
         """
         return size**2 * float(np.abs(self.precision[np.ix_(free, free)]).sum())
 
@@ -146,11 +152,11 @@ class Widening(Change):
         return math.exp(size)
 
     def limits(self, size: float) -> tuple[float, float]:
-        """A law may become wider, never narrower."""
+        """Least and greatest amount of each number: a law may become wider (amount > 0), and never narrower."""
         return 0.0, size
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Logarithm of each draw's importance weight, shape (n,), from the scores c and y = D^-1 c; see the class."""
+        """Logarithm of each draw's importance weight, shape (n,), by the formula of the class."""
         shrunk = scores * np.exp(-amounts)  # y
         return -amounts.sum() - 0.5 * (self._squares(shrunk) - self._squares(scores))
 
@@ -163,8 +169,11 @@ class Widening(Change):
     def log_second_moment(self, amounts: np.ndarray) -> float:
         """Logarithm of the mean squared weight det(D)^-2 det(2 D^-1 R^-1 D^-1 R - 1)^-1/2.
 
-        The mean is an integral of a normal density with the precision 2 D^-1 R^-1 D^-1 - R^-1. It is infinite unless
-        this matrix is positive definite.
+        The mean is an integral of a normal density with the precision 2 D^-1 R^-1 D^-1 - R^-1. If this matrix is not
+        positive definite, the mean is infinite.
+
+        Args:
+            amounts: Amount of the change of each number, shape (numbers,); D = diag(exp(amounts)).
         """
         inverse_widths = np.exp(-amounts)
         moment_precision = 2.0 * self.precision * np.outer(inverse_widths, inverse_widths) - self.precision
@@ -175,7 +184,10 @@ class Widening(Change):
         return float(-2.0 * amounts.sum() - 0.5 * log_determinant_ratio)
 
     def log_second_moment_bound(self, size: float, free: np.ndarray) -> float:
-        """Logarithm of the mean squared weight at the largest widening of all free numbers, which no other exceeds."""
+        """Logarithm of the mean squared weight at the largest widening of all free numbers.
+
+        No other widening of at most this size has a larger mean squared weight.
+        """
         return self.log_second_moment(size * free)
 
     def apply(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from scipy import special
 
 
 class Likelihood(NamedTuple):
-    """How likely a draw is, by the distance of its scores from the most likely draw, which has the score 0 everywhere.
+    """How likely a draw is, by the distance of its scores from the most likely draw, whose scores are all 0.
 
     Args:
         distance: Euclidean norm k of the independent standard normal scores; the draw lies "at k sigma".
@@ -46,7 +46,7 @@ def mass_within(distance: np.ndarray | float, numbers: int) -> np.ndarray:
 def distance_of_mass(mass: float, numbers: int) -> float:
     """Distance from 0 within which independent standard normal scores lie with probability ``mass``.
 
-    It is the inverse of :func:`mass_within`.
+    The function is the inverse of :func:`mass_within`.
 
     Args:
         mass: Probability, in [0, 1).

@@ -28,12 +28,12 @@ BRACKET = 0.05  # half-width of the first bracket around the single-look limit, 
 
 
 class Look(NamedTuple):
-    """A look of a multistage test, at which failures are counted: its number of draws and its boundaries.
+    """A look of a multistage test: a number of draws at which failures are counted, and its boundaries.
 
     Args:
         draws: Number of draws n at which failures are counted.
-        lower: The test stops with at most this number of failures; -1: it does not stop below.
-        upper: The test stops with at least this number of failures; n + 1: it does not stop above.
+        lower: The test stops with at most this number of failures; -1: there is no lower boundary.
+        upper: The test stops with at least this number of failures; n + 1: there is no upper boundary.
     """
 
     draws: int
@@ -44,7 +44,7 @@ class Look(NamedTuple):
 class Counts(NamedTuple):
     """Law of a number of failures: the probabilities of consecutive numbers.
 
-    They add up to less than 1 where tests have stopped already, or where negligible probabilities are left out.
+    The probabilities add up to less than 1 if some tests have stopped already, or if negligible ones are left out.
 
     Args:
         first: Smallest number of failures.
@@ -78,7 +78,12 @@ class Counts(NamedTuple):
 
 
 def binomial(draws: int, probability: float) -> Counts:
-    """Binomial law of the failures in a number of draws, within :data:`REACH` standard deviations of the mean."""
+    """Law of the failures in a number of draws: binomial, cut at :data:`REACH` standard deviations from the mean.
+
+    Args:
+        draws: Number of draws.
+        probability: Failure probability of a draw.
+    """
     mean = draws * probability
     half = REACH * math.sqrt(mean * (1.0 - probability)) + 2.0 * REACH  # the last term matters if the mean is small
     first = max(math.floor(mean - half), 0)
@@ -89,11 +94,11 @@ def binomial(draws: int, probability: float) -> Counts:
 def stops_by(looks: Sequence[Look], failures: int, probability: float) -> float:
     """Probability that the test stops at or before a given stop, in the order of stops from few failures to many.
 
-    The given stop is at the last look, and not at the upper boundary. At or before it are the stops at the lower
-    boundary of earlier looks, and the stops at the last look with at most ``failures``.
+    The given stop is at the last look, below its upper boundary. In the order it follows the stops at the lower
+    boundary of all earlier looks. Stops at the last look come in the order of their failures, up to ``failures``.
 
     Args:
-        looks: All looks up to the look of the stop.
+        looks: All looks up to and including the look of the stop.
         failures: Number of failures at the stop.
         probability: Failure probability of a draw, in (0, 1).
     """
@@ -129,6 +134,8 @@ def multistage_interval(looks: Sequence[Look], failures: int, confidence: float)
 def upper_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
     """Failure probability above which a stop at or before the observed stop is less probable than ``tail``.
 
+    Stops are in the order of :func:`stops_by`.
+
     Args:
         looks: All looks up to the observed stop.
         failures: Number of failures at the last look.
@@ -146,6 +153,8 @@ def upper_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
 def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
     """Failure probability below which a stop at or after the observed stop is less probable than ``tail``.
 
+    Stops are in the order of :func:`stops_by`.
+
     Args:
         looks: All looks up to the observed stop.
         failures: Number of failures at the last look.
@@ -161,13 +170,16 @@ def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
 
 
 def stopped_high(looks: Sequence[Look], failures: int) -> bool:
-    """Whether the test stopped at the upper boundary of its last look."""
+    """Whether the test stopped at the upper boundary of its last look.
+
+    Where the boundaries meet, a number of failures on both counts as a stop at the lower boundary.
+    """
     final = looks[-1]
     return failures >= final.upper and failures > final.lower
 
 
 def mirror(looks: Sequence[Look]) -> list[Look]:
-    """The looks of the same test if it counts passes instead of failures: the boundaries change places."""
+    """The looks of the same test if passes are counted instead of failures: the two boundaries change places."""
     return [Look(look.draws, lower=look.draws - look.upper, upper=look.draws - look.lower) for look in looks]
 
 

@@ -1,7 +1,7 @@
 """Kinds of correlated noise, with the prior laws of their parameters.
 
-The parameters of a noise follow from standard normal scores, a score for each, so that its prior law is standard normal
-in these coordinates.
+Each parameter of a noise follows from a standard normal score of its own. In these scores the prior law is standard
+normal.
 """
 
 import math
@@ -25,7 +25,7 @@ MOST_DAMPING = 0.98
 
 
 def sigmoid(x: float) -> float:
-    """The share with a given logit, which is limited to +-:data:`LARGEST_LOGIT`."""
+    """The share with a given logit; logits beyond +-:data:`LARGEST_LOGIT` count as this limit."""
     return float(special.expit(np.clip(x, -LARGEST_LOGIT, LARGEST_LOGIT)))
 
 
@@ -39,7 +39,7 @@ class TimeScale(NamedTuple):
 
     Args:
         gap: Median gap between two times [s].
-        span: Time from the first to the last [s].
+        span: Time from the first to the last observation [s].
     """
 
     gap: float
@@ -48,7 +48,11 @@ class TimeScale(NamedTuple):
     def time_constant_at(self, score: float) -> float:
         """Time constant [s] at a standard normal score of its prior law.
 
-        The law is log-normal, with its median at the geometric mean of gap and span, within 0.1 gap and 3 span.
+        The law is log-normal with its median at the geometric mean of gap and span. Values are limited to the range
+        from 0.1 gap to 3 span.
+
+        Args:
+            score: The standard normal score; 0 gives the median.
         """
         middle = 0.5 * math.log(self.gap * self.span)
         width = math.log(self.span / self.gap) / TIME_WIDTHS
@@ -120,7 +124,7 @@ def noise_of_share(simulated: SimulatedNoise, point: np.ndarray, scale: TimeScal
     Args:
         simulated: The noise of simulations.
         point: The standard normal score, shape (1,).
-        scale: The time scale, on which a simulated shape does not depend.
+        scale: The time scale, a part of the contract of a kind of noise; a simulated shape does not depend on it.
     """
     (share_score,) = point
     return simulated._replace(share=sigmoid(logit(simulated.share) + SHARE_WIDTH * share_score))

@@ -48,12 +48,11 @@ class Candidate(NamedTuple):
 class NoisePosterior(NamedTuple):
     """Posterior law of the noise of a channel's residual.
 
-    The kinds are white noise, those of :data:`NOISE_KINDS`, and noise of the shape that simulations of a disturbance
-    show.
+    The noise may be white, of a kind in :data:`NOISE_KINDS`, or of the shape that simulations of a disturbance show.
 
     Args:
         likeliest: Noise at the mode of the likeliest kind.
-        fit: Least squares of the residual under that noise.
+        fit: Least squares of the residual under the likeliest noise.
         white: Posterior probability that the noise is white.
         candidates: Samples of the posterior law; the sum of their weights is 1.
     """
@@ -79,19 +78,22 @@ class Mode(NamedTuple):
 
     @property
     def evidence(self) -> float:
-        """Logarithm of the integral of the density."""
+        """Logarithm of the integral of the posterior density, in its normal approximation."""
         size = len(self.point)
         _, log_determinant = np.linalg.slogdet(self.spread)
         return self.density + 0.5 * size * math.log(2.0 * math.pi) + float(log_determinant)
 
 
 def noise_of_simulations(times: np.ndarray, simulated: np.ndarray, white: float) -> tuple[SimulatedNoise, float] | None:
-    """Model simulated disturbances plus white noise; return noise and variance, or None if they are 0 or not finite.
+    """Model simulated disturbances plus white noise; return the noise and its variance.
 
     Args:
         times: Times of the readings [s], shape (n,).
         simulated: Simulations of what disturbs the readings, shape (m, n).
         white: Variance of the white noise.
+
+    Returns:
+        The noise of unit variance, and the variance; None if the simulations are 0 or not finite.
     """
     shape = NoiseShape.of(separate_times(times), simulated)
     if shape is None:
@@ -103,7 +105,9 @@ def noise_of_simulations(times: np.ndarray, simulated: np.ndarray, white: float)
 
 
 def separate_times(times: np.ndarray) -> np.ndarray:
-    """Stretch gaps between times [s] that are shorter than :data:`LEAST_GAP` median gaps to that length, shape (n,).
+    """Times in which every gap is at least :data:`LEAST_GAP` median gaps long, shape (n,).
+
+    Shorter gaps are stretched to that length, and all later times move with them.
 
     Args:
         times: Times, rising [s], shape (n,).
@@ -114,9 +118,9 @@ def separate_times(times: np.ndarray) -> np.ndarray:
 
 
 def find_mode(density: Callable[[np.ndarray], float], size: int) -> Mode:
-    """Find the maximum of a log density, and the normal law that approximates the density there.
+    """Find the maximum of a log density, and the normal law that approximates the density around the maximum.
 
-    Nelder and Mead's simplex starts from the best point of a grid.
+    The simplex search of Nelder and Mead starts from the best point of a grid.
 
     Args:
         density: (point, shape (k,)) -> log density.
@@ -143,7 +147,7 @@ def curvature_at(density: Callable[[np.ndarray], float], point: np.ndarray, top:
     Args:
         density: (point, shape (k,)) -> log density.
         point: The maximum, shape (k,).
-        top: Log density there.
+        top: Log density at the maximum.
     """
     size = len(point)
     steps = np.full(size, 0.5)
@@ -167,10 +171,10 @@ def curvature_at(density: Callable[[np.ndarray], float], point: np.ndarray, top:
 
 
 def draw_points(mode: Mode) -> tuple[np.ndarray, np.ndarray]:
-    """Draw points around a mode from a Student's t law, whose tails are longer than the posterior law's.
+    """Draw points around a mode from a Student's t law, whose tails are longer than those of the posterior law.
 
     Returns:
-        Points, shape (n, k), and the logarithm of the law's density at each, shape (n,).
+        Points, shape (n, k), and the logarithm of the density of Student's t law at each point, shape (n,).
     """
     size = len(mode.point)
     uniform = stats.qmc.Sobol(size + 1, rng=np.random.default_rng(0)).random(NOISE_SAMPLES)
@@ -192,11 +196,11 @@ class NoiseSearch:
         columns: Residual, and derivatives of the prediction by each of p numbers, shape (n, 1 + p).
         floor: Lower limit of the variance.
         least_white: Lower limit of the variance of the white part, such as the variance of a sensor's noise. It applies
-            after the noise has been estimated. Without it a smooth model error would count as readings of high
+            after the noise has been estimated. Without it, a smooth model error would count as readings of high
             precision.
-        simulated: Simulations of what disturbs the readings, shape (m, n), whose shape is another kind of noise; None:
-            nothing is known to disturb them.
-        only_simulated: Whether that is the only kind.
+        simulated: Simulations of what disturbs the readings, shape (m, n), whose shape is a further kind of noise;
+            None: nothing is known to disturb the readings.
+        only_simulated: Whether the simulated shape is the only kind beside white noise.
     """
 
     def __init__(
@@ -208,7 +212,7 @@ class NoiseSearch:
         simulated: np.ndarray | None = None,
         only_simulated: bool = False,
     ) -> None:
-        """Find the mode of the posterior law of each kind of noise."""
+        """Find the mode of the posterior law of each kind of noise; the arguments are those of the class."""
         self.times = separate_times(times)
         self.columns = columns
         self.floor = floor
@@ -222,7 +226,7 @@ class NoiseSearch:
             simulated_kind = NoiseKind(partial(noise_of_share, simulated_noise), 1)
             self.kinds = (simulated_kind,) if only_simulated else (*NOISE_KINDS, simulated_kind)
         is_rounding = self.white.variance <= ROUNDING_VARIANCE * floor
-        if is_rounding:
+        if is_rounding:  # nothing is left for a correlated noise to explain
             self.kinds = ()
         self.modes = [find_mode(partial(self.log_density, kind), kind.scores) for kind in self.kinds]
 
@@ -234,9 +238,14 @@ class NoiseSearch:
     def fit_at(self, kind: NoiseKind, point: np.ndarray) -> tuple[float, NoiseFit]:
         """Fit the residual under a kind of noise at a point of scores.
 
+        Args:
+            kind: The kind of noise.
+            point: Standard normal scores of the noise's parameters, shape (k,).
+
         Returns:
-            The logarithm of prior density times likelihood, less white noise's log likelihood; -inf if the least
-            squares are singular. Then the least squares.
+            - The logarithm of prior density times likelihood, less white noise's log likelihood; -inf if the least
+              squares are singular.
+            - The least squares.
         """
         try:
             fit = fit_noise(kind.noise_at(point, self.scale), self.times, self.columns, self.floor)
@@ -260,7 +269,14 @@ class NoiseSearch:
         return self.with_least_white(kind.noise_at(point, self.scale), fit)
 
     def with_least_white(self, noise: Noise, fit: NoiseFit) -> tuple[Noise, NoiseFit]:
-        """Raise the white part of a noise to its least variance, and repeat the least squares with that noise."""
+        """Raise the white part of a noise to its least variance, and repeat the least squares with the raised noise.
+
+        A noise whose white part is large enough is returned unchanged, with its fit.
+
+        Args:
+            noise: The noise; its ``share`` is the correlated part of the variance.
+            fit: Least squares of the residual under this noise.
+        """
         shortage = self.least_white - (1.0 - noise.share) * fit.variance
         if shortage <= 0.0:
             return noise, fit
@@ -273,7 +289,8 @@ class NoiseSearch:
     def posterior(self) -> NoisePosterior:
         """Sample the posterior law of the noise: white noise, and points around the mode of each kind, with weights.
 
-        The weight of a sample is its posterior density over the density of the law from which it was drawn.
+        The weight of a sample is proportional to the posterior density of the sample over the density of the law from
+        which it was drawn.
         """
         log_weights = [math.log(WHITE_PRIOR)]
         fits = [self.with_least_white(WHITE, self.white)]

@@ -33,16 +33,16 @@ def worst_when_moved(p: float, distance: float) -> float:
 
 
 def largest_distance(p: float, limit: float) -> float:
-    """Largest distance of a move under which the probability of a set, p before, cannot exceed a limit.
+    """Largest distance of a move under which the probability of a set cannot exceed a limit.
 
-    It is the inverse of :func:`worst_when_moved`.
+    The function is the inverse of :func:`worst_when_moved`.
 
     Args:
         p: Probability of the set before the move, in [0, 1].
         limit: Largest probability allowed, in (0, 1).
 
     Returns:
-        0 if p is above the limit; infinity if p is 0.
+        The distance; 0 if p is above the limit; infinity if p is 0.
 
     Example:
         >>> round(largest_distance(0.01, 0.05), 4)
@@ -55,7 +55,8 @@ def largest_distance(p: float, limit: float) -> float:
 def worst_when_widened(p: float, width: float, numbers: int) -> float:
     """Largest probability of a set once the width of each score is multiplied by at most k.
 
-    It is the probability outside a ball of the scores that has the probability p outside before the widening.
+    The worst set lies outside a ball of the scores. The ball is chosen so that the outside has the probability p before
+    the widening.
 
     Args:
         p: Probability of the set before the widening, in [0, 1].
@@ -74,9 +75,9 @@ def worst_when_widened(p: float, width: float, numbers: int) -> float:
 
 
 def largest_width(p: float, limit: float, numbers: int) -> float:
-    """Largest relative width of the scores at which the probability of a set, p before, cannot exceed a limit.
+    """Largest relative width of the scores at which the probability of a set cannot exceed a limit.
 
-    It is the inverse of :func:`worst_when_widened`.
+    The function is the inverse of :func:`worst_when_widened`.
 
     Args:
         p: Probability of the set before the widening, in [0, 1].
@@ -84,7 +85,7 @@ def largest_width(p: float, limit: float, numbers: int) -> float:
         numbers: Number n of widened scores, >= 1.
 
     Returns:
-        1 if p is above the limit; infinity if p is 0.
+        The width; 1 if p is above the limit; infinity if p is 0.
     """
     require_probability(p=p)
     half = 0.5 * numbers

@@ -13,7 +13,12 @@ from dssc_jax.statistics.proportions import CONFIDENCE, require_share
 def binomial_quantile(level: float, draws: int, probability: float) -> int:
     """Smallest k at which the distribution function of Bin(draws, probability) reaches ``level``.
 
-    SciPy's inverse may be off by one through rounding, so the result is corrected by the distribution function itself.
+    Rounding may put SciPy's inverse off by one, so the distribution function itself corrects the result.
+
+    Args:
+        level: Level of the quantile, in (0, 1).
+        draws: Number of draws of the binomial law.
+        probability: Probability of an event in one draw.
     """
     k = max(0, int(np.ceil(special.bdtrik(level, draws, probability))))  # bdtr: the distribution function
     while k > 0 and special.bdtr(k - 1, draws, probability) >= level:
@@ -24,9 +29,13 @@ def binomial_quantile(level: float, draws: int, probability: float) -> int:
 
 
 def first_integer(condition: Callable[[int], bool], start: int = 1) -> int:
-    """Smallest integer from ``start`` on that meets a condition, which all larger integers must meet, too.
+    """Smallest integer from ``start`` on that meets a condition.
 
-    Steps that double find an integer that meets the condition. Bisection then finds the first.
+    Doubling steps find an integer that meets the condition, and bisection then finds the smallest one.
+
+    Args:
+        condition: Whether an integer qualifies. If one does, all larger integers must qualify, too.
+        start: First integer to try.
     """
     if condition(start):
         return start
@@ -45,7 +54,12 @@ def first_integer(condition: Callable[[int], bool], start: int = 1) -> int:
 
 
 def sorted_draws(values: np.ndarray, missing: float = np.inf) -> np.ndarray:
-    """Values in ascending order along the last axis, the draws; ``missing`` replaces NaN."""
+    """Values in ascending order along the last axis, the axis of the draws.
+
+    Args:
+        values: The values, shape (..., n).
+        missing: Value that replaces NaN.
+    """
     return np.sort(np.where(np.isnan(values), missing, values))
 
 
@@ -64,7 +78,7 @@ def at_rank(sorted_values: np.ndarray, rank: int) -> np.ndarray:
 def upper_quantile(sorted_values: np.ndarray, level: float) -> np.ndarray:
     """Smallest value with at least the share ``level`` of the draws at or below it, along the last axis.
 
-    It is the value of a draw, so a finite value is never averaged with an infinite value.
+    The quantile is the value of a draw. So a finite value is never averaged with an infinite one.
 
     Args:
         sorted_values: Values from :func:`sorted_draws`.
@@ -140,8 +154,8 @@ def quantile_interval(values: np.ndarray, level: float, confidence: float = CONF
 def wilks_confidence(draws: int, content: float, order: int = 1, sides: int = 1) -> float:
     """Confidence that tolerance limits from order statistics contain at least the share ``content`` of the law.
 
-    The limit is the k-th largest or the k-th smallest of n draws for one side, and both for two sides. The confidence
-    is 1 - sum_i C(n, i) (1-p)^i p^(n-i) over all i < k times the number of sides.
+    A one-sided limit is the k-th largest or the k-th smallest of n draws; two-sided limits are both. The confidence is
+    1 - sum_i C(n, i) (1-p)^i p^(n-i), over all i below k times the number of sides.
 
     Args:
         draws: Number n of draws.
@@ -155,7 +169,7 @@ def wilks_confidence(draws: int, content: float, order: int = 1, sides: int = 1)
 
 
 def wilks_draws(content: float, confidence: float = CONFIDENCE, order: int = 1, sides: int = 1) -> int:
-    """Smallest number of draws of which the k-th smallest and largest values are tolerance limits.
+    """Smallest number of draws whose k-th smallest and largest values are tolerance limits.
 
     Args:
         content: Share p of the law within the limits, in (0, 1).
@@ -230,6 +244,6 @@ def tolerance_limits(
 
 
 def typical_size(values: np.ndarray) -> float:
-    """Median magnitude of the finite values, at least the smallest normal number so that it can divide."""
+    """Median magnitude of the finite values, but at least the smallest normal number, so that one can divide by it."""
     finite = np.abs(values[np.isfinite(values)])
     return max(float(np.median(finite)) if finite.size else 0.0, np.finfo(float).tiny)

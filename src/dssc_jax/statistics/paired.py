@@ -41,9 +41,9 @@ class MetricDifference(NamedTuple):
         level: Level of the quantile; 1/2 is the median.
         difference: Estimate of the quantile, an order statistic.
         interval: Order-statistic interval of the quantile.
-        only_a: Number of draws on which only a has no value; they count as +inf.
-        only_b: Number of draws on which only b has no value; they count as -inf.
-        neither: Number of draws on which neither has a value; they count as ties.
+        only_a: Number of draws on which only a has no value; such a difference counts as +inf.
+        only_b: Number of draws on which only b has no value; such a difference counts as -inf.
+        neither: Number of draws on which neither has a value; such a difference counts as 0.
     """
 
     level: float
@@ -57,7 +57,8 @@ class MetricDifference(NamedTuple):
 def mcnemar(only_a: int, only_b: int) -> float:
     """Two-sided p-value of the exact McNemar test of the hypothesis that two systems fail equally often.
 
-    A draw is discordant if only one of them fails. Under the hypothesis, discordant draws are fair coin tosses.
+    A draw is discordant if exactly one of the systems fails. Under the hypothesis, discordant draws are fair coin
+    tosses.
 
     Args:
         only_a: Number of draws on which a alone failed.
@@ -85,11 +86,11 @@ def difference_interval(
 ) -> np.ndarray:
     """Interval of P(a fails) - P(b fails) from paired draws; its coverage is at least ``confidence``, for every n.
 
-    A draw is discordant if exactly one of the two systems fails. The difference is theta (2 pi - 1), where theta is the
-    probability of a discordant draw, and pi the probability that it is a that fails in such a draw. Both get exact
-    (Clopper-Pearson) intervals, pi conditional on the number of discordant draws. Together they err with a probability
-    of at most 1 - confidence (Bonferroni). If the two systems hardly differ, pi matters most, so it receives the larger
-    share of the error.
+    A draw is discordant if exactly one of the two systems fails. The difference is theta (2 pi - 1). Here theta is the
+    probability of a discordant draw, and pi is the probability that in such a draw system a fails. Both get exact
+    (Clopper-Pearson) intervals, that of pi conditional on the number of discordant draws. Together the intervals err
+    with a probability of at most 1 - confidence (Bonferroni). If the two systems hardly differ, pi matters most, so it
+    receives the larger share of the error.
 
     Args:
         only_a: Number of draws on which a alone failed, any shape.
@@ -157,8 +158,9 @@ def compare_metrics(
 ) -> MetricDifference:
     """Quantile of the difference a - b of a metric of two systems on the same independent draws, with its interval.
 
-    No draw is dropped. A system without a value, because the draw ended early, is infinitely worse; if both have none,
-    they tie. Order statistics handle infinite values and any law; a mean with Student's t handles neither.
+    No draw is dropped. A draw that ended early has no value, and counts as infinitely worse than any value; if neither
+    system has a value, they tie. Order statistics handle infinite values and any law. A mean with Student's t handles
+    neither.
 
     Args:
         a: The metric under a, shape (n,); NaN if the draw has no value. Smaller values are better.

@@ -22,14 +22,14 @@ LEAST_IN_PART = 5
 
 
 class PartInformation(NamedTuple):
-    """What it is worth to know in which part of its law a number lies.
+    """The value of knowing in which part of its law a number lies.
 
     Args:
-        parts: Number B of parts; fewer if few draws failed.
+        parts: Number B of parts of equal probability; it is smaller if few draws failed.
         removed: Share of the variance of "fails or not" that the information removes; the estimate may be negative.
         removed_interval: Interval of ``removed``.
-        changes: Probability that the information changes the decision: the failure probability within the part is above
-            the limit and the failure probability of all draws is not, or the reverse.
+        changes: Probability that the information changes the decision: the failure probability within the part is on
+            the other side of the limit than the failure probability of all draws.
         changes_interval: Interval of ``changes``.
     """
 
@@ -43,7 +43,7 @@ class PartInformation(NamedTuple):
 def part_information(
     levels: np.ndarray, failed: np.ndarray, limit: float, confidence: float = CONFIDENCE
 ) -> PartInformation | None:
-    """Estimate what it is worth to know in which part of its law a number lies.
+    """Estimate the value of knowing in which part of its law a number lies.
 
     The interval of the removed share is Student's t, with B - 1 degrees of freedom and the variance of a mean over
     pairs. The interval of the probability of another decision follows from exact intervals that hold for all parts
@@ -56,7 +56,7 @@ def part_information(
         confidence: Coverage, in (0, 1).
 
     Returns:
-        None if fewer than 2 :data:`LEAST_IN_PART` draws failed.
+        The information; None if fewer than 2 :data:`LEAST_IN_PART` draws failed.
     """
     failures = int(np.count_nonzero(failed))
     parts = min(MOST_PARTS, failures // LEAST_IN_PART)
@@ -75,8 +75,9 @@ def changing_share(
 ) -> tuple[float, tuple[float, float]]:
     """Share of the parts that change the decision, and its interval.
 
-    A part changes the decision if its failure probability lies on the other side of the limit than that of all draws.
-    The ends of the interval count the parts that certainly and that possibly do.
+    A part changes the decision if its failure probability and that of all draws lie on different sides of the limit.
+    The lower end of the interval counts the parts that certainly change it, and the upper end those that possibly
+    change it.
 
     Args:
         failures: Number of failed draws in each part, shape (B,).
@@ -95,10 +96,10 @@ def changing_share(
 
 
 def removed_share(counts: np.ndarray, draws: int, confidence: float) -> tuple[float, tuple[float, float]]:
-    """Share of the variance of "fails or not" that the part of a number removes, and its interval.
+    """Share of the variance of "fails or not" that knowledge of a number's part removes, and its interval.
 
-    The share is (B sum q_b^2 - 1) p/(1 - p), as the module derives it. The sum is the probability that two failed draws
-    lie in the same part, estimated by the share of such pairs.
+    The share is (B sum q_b^2 - 1) p/(1 - p), as the module's text derives. The sum is the probability that two failed
+    draws lie in the same part, estimated by the share of the pairs of failed draws that do.
 
     Args:
         counts: Number of failed draws in each part, shape (B,).

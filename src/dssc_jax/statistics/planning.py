@@ -32,9 +32,13 @@ class Answer(NamedTuple):
 
 
 def chernoff_draws(error: float, confidence: float = CONFIDENCE) -> int:
-    """Number of draws whose share of failures is within an error of the failure probability, whatever it is.
+    """Number of draws whose share of failures is within an error of the failure probability, for any such probability.
 
     With the error e and the confidence 1 - d, it is the least n >= ln(2/d)/(2 e^2).
+
+    Args:
+        error: Largest distance of the share from the failure probability, in (0, 1).
+        confidence: Probability that the distance is at most the error, in (0, 1).
 
     Example:
         >>> chernoff_draws(0.01, 0.99)
@@ -53,6 +57,10 @@ def worst_case_draws(error: float, confidence: float = CONFIDENCE) -> int:
 
     With the error e and the confidence 1 - d, it is the least n >= ln(1/d)/ln(1/(1-e)). If none of these draws fails,
     they also demonstrate a failure probability of at most e.
+
+    Args:
+        error: Largest probability that a further draw is worse, in (0, 1).
+        confidence: Confidence of this statement, in (0, 1).
 
     Example:
         >>> worst_case_draws(0.01, 0.99)
@@ -97,7 +105,12 @@ def expected_draws(error: float, probability: float, confidence: float = CONFIDE
     """Number of draws after which the exact interval reaches at most ``error``, if failures come as expected.
 
     The expected number of failures, probability times draws, need not be an integer here. In about half of all cases
-    there are more failures and the interval reaches further; :func:`assured_draws` accounts for them.
+    there are more failures and the interval reaches further; :func:`assured_draws` accounts for these.
+
+    Args:
+        error: Largest half-length of the interval, in (0, 1).
+        probability: Expected failure probability, in (0, 1).
+        confidence: Confidence of the interval, in (0, 1).
 
     Raises:
         ValueError: An argument is out of range.
@@ -114,14 +127,14 @@ def assured_draws(error: float, probability: float, confidence: float = CONFIDEN
     """Number of draws after which the exact interval reaches at most ``error`` with the probability ``confidence``.
 
     Let n_k be the least number of draws with which the interval is short enough at every number of failures up to k.
-    The probability of at most k failures falls from n_k to n_(k+1) - 1 draws. At n_(k+1) draws a further failure is
-    allowed, so the probability jumps up: over the draws it is a sawtooth. The answer is the first n_k after which every
-    tooth ends high enough. Some smaller numbers may also suffice.
+    From n_k to n_(k+1) - 1 draws, the probability of at most k failures falls. At n_(k+1) draws a further failure is
+    allowed, so the probability jumps up. Over the draws, it is a sawtooth. The answer is the first n_k after which
+    every tooth ends high enough. Some smaller numbers may also suffice.
 
     Args:
         error: Largest half-length of the interval, in (0, 1).
         probability: Expected failure probability, in (0, 1).
-        confidence: Confidence of the interval and of its reach, in (0, 1).
+        confidence: Confidence of the interval, and probability that it is short enough, in (0, 1).
 
     Raises:
         ValueError: An argument is out of range.
@@ -144,7 +157,7 @@ def assured_draws(error: float, probability: float, confidence: float = CONFIDEN
         return first_integer(is_short, max(2 * failures, 1))
 
     def ends_high(failures: int) -> bool:
-        """Whether the tooth of n_k ends with the probability ``confidence`` or more."""
+        """Whether the probability at the end of the tooth of n_k, its lowest point, is at least ``confidence``."""
         draws = draws_for(failures + 1) - 1
         return reach_probability(draws, error, rarer, confidence) >= confidence
 

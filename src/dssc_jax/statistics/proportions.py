@@ -65,7 +65,7 @@ def unseen(draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
 
     Args:
         draws: Number n of draws, any shape.
-        confidence: Confidence 1 - a of a two-sided interval, of which this is the upper end.
+        confidence: Confidence 1 - a of a two-sided interval, whose upper end this limit is.
     """
     return math.log(2.0 / (1.0 - confidence)) / np.asarray(draws)
 
@@ -84,7 +84,7 @@ class FixedCount(NamedTuple):
         return "Clopper-Pearson"
 
     def confidence_per_look(self, confidence: float) -> float:
-        """Confidence of a statement on anything but failure: the nominal confidence, as there is one look."""
+        """The confidence itself: draws whose number was fixed in advance have a single look."""
         return confidence
 
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
@@ -97,7 +97,7 @@ class FixedCount(NamedTuple):
         return clopper_pearson(np.count_nonzero(happened, axis=-1), happened.shape[-1], confidence)
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Compute the interval of the failure probability, as of any event."""
+        """Compute the interval of the failure probability; a failure is an event like any other."""
         return self.interval(failed, confidence)
 
 
@@ -107,7 +107,7 @@ FIXED = FixedCount()
 class IntervalsAfterStop(NamedTuple):
     """Confidence intervals of probabilities when a stopping rule decided the number of independent draws.
 
-    That of the failure probability is exact after a multistage test.
+    The interval of the failure probability is exact after a multistage test.
 
     Args:
         looks: Looks up to the look at which the rule stopped.
@@ -132,14 +132,23 @@ class IntervalsAfterStop(NamedTuple):
         return 1.0 - (1.0 - confidence) / self.possible_stops
 
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Compute the interval of the probability of an event from booleans of shape (..., n), shape (..., 2).
+        """Compute the interval of the probability of an event, shape (..., 2).
 
-        The rule did not watch this event, so each look could have been the last.
+        The rule did not watch this event, so each look could have been the last. The error is divided among all looks.
+
+        Args:
+            happened: Whether each draw has the event, shape (..., n).
+            confidence: Coverage, in (0, 1).
         """
         return FIXED.interval(happened, self.confidence_per_look(confidence))
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Compute the interval of the failure probability, which the rule watched, from booleans of shape (..., n)."""
+        """Compute the interval of the failure probability, which the rule watched, shape (..., 2).
+
+        Args:
+            failed: Whether each draw failed, shape (..., n).
+            confidence: Coverage, in (0, 1).
+        """
         counts = np.count_nonzero(failed, axis=-1)
         intervals = [multistage_interval(self.looks, int(count), confidence) for count in np.ravel(counts)]
         return np.reshape(intervals, (*np.shape(counts), 2))
@@ -169,17 +178,21 @@ class Replicated(NamedTuple):
         return f"Student's t over {self.replicates} {self.design} replicates"
 
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Compute the interval of the probability of an event from booleans of shape (..., n), shape (..., 2).
+        """Compute the interval of the probability of an event, shape (..., 2).
 
-        Student's t over the replicates' shares is widened on both sides by :func:`unseen`, since it has the width 0 if
-        all replicates agree, for example on no failure.
+        Student's t over the replicates' shares is widened on both sides by :func:`unseen`. Otherwise its width would be
+        0 if all replicates agree, for example if no draw fails.
+
+        Args:
+            happened: Whether each draw has the event, shape (..., n).
+            confidence: Coverage, in (0, 1).
         """
         low, high = np.moveaxis(replicate_interval(happened, self.replicates, confidence), -1, 0)
         widening = unseen(happened.shape[-1], confidence)
         return np.stack([np.maximum(low - widening, 0.0), np.minimum(high + widening, 1.0)], axis=-1)
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Compute the interval of the failure probability, as of any event."""
+        """Compute the interval of the failure probability; a failure is an event like any other."""
         return self.interval(failed, confidence)
 
 
@@ -225,7 +238,7 @@ class DesignEffect(NamedTuple):
 
 
 def draws_as_narrow(share: float, width: float) -> int:
-    """Count the independent draws whose exact interval of 95 % has a width, if a share of them fails.
+    """Count the independent draws whose exact 95 % interval has a given width, if a given share of them fails.
 
     Args:
         share: Share of the draws that fail, in (0, 1).
@@ -233,7 +246,7 @@ def draws_as_narrow(share: float, width: float) -> int:
     """
 
     def excess_width(log_count: float) -> float:
-        """Width of the interval from a number of draws, given by its logarithm, less the wanted width."""
+        """Width of the interval less the wanted width, from the logarithm of the number of draws."""
         count = math.exp(log_count)
         low, high = clopper_pearson(share * count, count)
         return float(high - low) - width
@@ -306,7 +319,9 @@ def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tu
 
 
 def rounded_probability(probability: float) -> str:
-    """A probability as text with three digits; near 1, with two digits of its complement, so that it does not read 1.
+    """A probability as text with three digits.
+
+    Near 1, two digits of its complement are given instead, so that a probability below 1 does not read 1.
 
     Example:
         >>> rounded_probability(0.12345), rounded_probability(0.99996)

@@ -21,7 +21,12 @@ SPARSE_RATIO = 1.5  # the same for Wald's test, which is valid for any times of 
 
 
 def look_draws(limit: int, ratio: float) -> list[int]:
-    """Numbers of draws at the looks: a geometric sequence from :data:`FIRST` that ends with ``limit``."""
+    """Numbers of draws at the looks: a geometric sequence from :data:`FIRST` that ends with ``limit``.
+
+    Args:
+        limit: Largest number of draws.
+        ratio: Ratio of two successive numbers, above 1.
+    """
     numbers = []
     draws = FIRST
     while draws < limit:
@@ -34,7 +39,8 @@ def look_draws(limit: int, ratio: float) -> list[int]:
 class UntilWidth:
     """Stopping rule: stop when the interval of the failure probability is narrow enough.
 
-    It needs about as many draws as a fixed number that is planned with knowledge of the failure probability.
+    A run under this rule needs about as many draws as a fixed number that is planned with knowledge of the failure
+    probability.
 
     Args:
         width: Upper minus lower bound, in (0, 1).
@@ -99,7 +105,10 @@ class UntilWidth:
         half = draws // 2
 
         def is_wide(failures: int) -> bool:
-            """Whether so many failures among a fixed number of draws leave the interval wide, or are above half."""
+            """Whether the interval is wide after this number of failures, for a fixed number of draws.
+
+            More than half of the draws failing counts as wide, because the boundary lies at or below half.
+            """
             low, high = clopper_pearson(min(failures, half), draws, self.confidence)
             return failures > half or bool(high - low > self.width)
 
@@ -117,7 +126,7 @@ class UntilWidth:
         return high - low
 
     def verdict(self, look: Look, failures: int) -> str | None:
-        """The verdict ``narrow`` if the rule stops at a look with so many failures; None to continue."""
+        """The verdict ``narrow`` if the rule stops at a look with this number of failures; None: the run goes on."""
         stops = failures <= look.lower or failures >= look.upper
         return "narrow" if stops else None
 
@@ -126,9 +135,9 @@ class UntilWidth:
 class AcceptReject:
     """Stopping rule: Wald's sequential test of a failure probability p <= ``accept`` against p >= ``reject``.
 
-    The likelihood ratio of the two hypotheses is compared with 1/a and a, where a = 1 - confidence. So the probability
-    of a wrong acceptance is at most a, and so is the probability of a wrong rejection, for any times of the looks
-    (Ville).
+    The test stops when the likelihood ratio of the two hypotheses reaches 1/a or a, where a = 1 - confidence. So the
+    probability of a wrong acceptance is at most a, and so is the probability of a wrong rejection, for any times of the
+    looks (Ville).
 
     Args:
         accept: Acceptable failure probability, in (0, reject).
@@ -168,8 +177,8 @@ class AcceptReject:
     def looks(self, limit: int) -> Iterator[Look]:
         """The looks up to ``limit`` draws, with the boundaries at which the likelihood ratio decides.
 
-        Each failed draw adds its log likelihood ratio of ``reject`` to ``accept``, and each pass adds its own. The test
-        decides where the sum reaches -ln(1/a) or ln(1/a).
+        Each failed draw adds the log likelihood ratio of ``reject`` to ``accept`` for a failure, and each pass adds
+        that for a pass. The test decides where the sum reaches -ln(1/a) or ln(1/a).
         """
         log_ratio_of_failure = math.log(self.reject / self.accept)
         log_ratio_of_pass = math.log1p(-self.reject) - math.log1p(-self.accept)
@@ -185,7 +194,7 @@ class AcceptReject:
         return len(look_draws(limit, SPARSE_RATIO))
 
     def verdict(self, look: Look, failures: int) -> str | None:
-        """The verdict ``accepted`` or ``rejected`` at a look with so many failures; None to continue."""
+        """The verdict ``accepted`` or ``rejected`` at a look with this number of failures; None: the run goes on."""
         if failures <= look.lower:
             return "accepted"
         return "rejected" if failures >= look.upper else None

@@ -22,16 +22,17 @@ REGULAR = 1e-12  # share of the variance that keeps the normal equations of a sm
 class NoiseShape(NamedTuple):
     """What simulations show of the correlated part of a noise: products that predict a reading from earlier readings.
 
-    A mean product is the mean over the simulations of the product of two readings. A matrix of mean products has in
-    row and column j the reading j places before the predicted reading; rows of readings that do not predict are 0.
+    A mean product is the mean over the simulations of the product of two readings. In a matrix of mean products, row
+    and column j belong to the reading j places before the predicted reading. Rows and columns of readings that are not
+    used are 0.
 
     Args:
         times: Times of the readings, rising [s], shape (n,).
         simulated: Simulations of the correlated part, scaled to a mean square of 1, shape (m, n).
-        first_products: Mean products for each of the first p readings, which all earlier readings predict, shape
-            (p, 1 + p, 1 + p).
-        later_products: Mean products for a later reading that the 0 to p latest readings predict, shape
-            (1 + p, 1 + p, 1 + p).
+        first_products: Mean products for each of the first p readings, which all earlier readings predict, shape (p, 1
+            + p, 1 + p).
+        later_products: Mean products for a later reading that the 0 to p latest readings predict, shape (1 + p, 1 + p,
+            1 + p).
     """
 
     times: np.ndarray
@@ -94,8 +95,8 @@ class SimulatedNoise(NamedTuple):
     def weighted_products(self, times: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, float]:
         """Products C' S^-1 C of columns C, weighted by the inverse of the noise's covariance S, and log det S.
 
-        Each row of C is replaced by its prediction error, scaled to the variance 1. The products of these whitened
-        rows are the weighted products.
+        Each row of C is replaced by its error of prediction from earlier rows, scaled to the variance 1. The products
+        of these whitened rows are the weighted products.
 
         Args:
             times: Times of observation [s], shape (n,): the times of the simulations, or a part of them.
@@ -141,10 +142,10 @@ class SimulatedNoise(NamedTuple):
 
     @property
     def independent_samples(self) -> float:
-        """Effective sample size: the number of independent samples that tell the variance as precisely as these n.
+        """Effective sample size: the number of independent samples that determine the variance as precisely as these n.
 
-        It is (tr S)^2/tr(S^2) with the covariance S. As S comes from few simulations, its squares are too large by the
-        squares of the errors of sampling, which are subtracted.
+        With the covariance S it is (tr S)^2/tr(S^2). S is estimated from few simulations, so the squares of its
+        sampling errors make tr(S^2) too large; they are subtracted.
         """
         covariance = self.share * self.shape.covariance
         sampling_squares = float(np.trace(covariance)) ** 2 / len(self.shape.simulated)
@@ -158,9 +159,11 @@ class SimulatedNoise(NamedTuple):
 def mean_products(simulated: np.ndarray, lags: int) -> np.ndarray:
     """Mean products of a reading and the p readings before it, the latest first, shape (1 + p, 1 + p).
 
+    The mean is taken over all simulations and all times.
+
     Args:
-        simulated: Simulations, over all of which and all of whose times the mean is taken, shape (m, n).
-        lags: Number p of readings before it.
+        simulated: The simulations, shape (m, n).
+        lags: Number p of earlier readings.
     """
     windows = np.lib.stride_tricks.sliding_window_view(simulated, lags + 1, axis=1)
     latest_first = windows[..., ::-1].reshape(-1, lags + 1)
@@ -170,7 +173,11 @@ def mean_products(simulated: np.ndarray, lags: int) -> np.ndarray:
 def prediction_orders(times: np.ndarray, lags: int) -> np.ndarray:
     """Number of earlier readings that predict each reading, shape (n,).
 
-    They are the readings since the beginning or the latest long gap, but at most ``lags``.
+    These are the readings since the beginning or the latest long gap, but at most ``lags``.
+
+    Args:
+        times: Times of the readings, rising [s], shape (n,).
+        lags: Largest number of earlier readings.
     """
     gaps = np.diff(times)
     begins = np.concatenate([[True], gaps > LONG_GAP * np.median(gaps)])

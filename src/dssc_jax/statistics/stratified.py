@@ -20,12 +20,12 @@ MOST_DRAWS = 10**8  # most draws of a stratum
 def stratified_interval(
     weights: np.ndarray, failures: np.ndarray, draws: np.ndarray, confidence: float = CONFIDENCE
 ) -> tuple[float, float]:
-    """Interval of a failure probability sum_k W_k p_k over strata k with known weights W_k.
+    """Interval of a failure probability sum_k W_k p_k over strata k whose weights W_k are estimated.
 
-    A stratum with at least :data:`DENSE` failures and passes has exact limits (Clopper-Pearson). In all other strata
-    either failures or passes are rare, and the weighted sum of these rare events has limits of its own (Fay and Feuer).
-    The uncertainty of the weights is Student's t over the nets. The squares of the distances of all limits from their
-    estimates add up.
+    A stratum with at least :data:`DENSE` failures and passes has exact limits (Clopper-Pearson). In each other stratum
+    either failures or passes are rare, and the weighted sum of the rare events has limits by Fay and Feuer. The
+    uncertainty of the weights is Student's t over the nets. The squared distances of all limits from their estimates
+    are added.
 
     Args:
         weights: Probability W_k of each stratum, estimated from each of R independent nets, shape (R, strata).
@@ -119,7 +119,10 @@ def allocate_draws(weights: np.ndarray, shares: np.ndarray, width: float, limit:
         return np.argmin(numbers + np.exp(log_multiplier) * (squares_below + squares_above), axis=1)
 
     def needs_more_draws(log_multiplier: float) -> float:
-        """1 if the interval is too wide and draws are left, otherwise -1, for a search of the change of sign."""
+        """The number 1 if the interval is too wide and draws are left, otherwise -1.
+
+        A bisection searches for the change of sign.
+        """
         columns = cheapest_columns(log_multiplier)
         below = np.sqrt(squares_below[strata, columns].sum())
         above = np.sqrt(squares_above[strata, columns].sum())

@@ -11,9 +11,9 @@ def weighted_interval(
 ) -> tuple[float, float]:
     """Interval of a probability from the importance weights of the draws in which the event happened.
 
-    The sum of the weights is a compound Poisson variable in the limit of rare events. A scaled chi-square variable with
-    the same mean and variance approximates it. For the upper limit, an event of the largest weight is added. With equal
-    weights the interval is the exact interval of a Poisson count.
+    In the limit of rare events, the sum of the weights is a compound Poisson variable. A scaled chi-square variable
+    with the same mean and variance approximates it. For the upper limit, an event of the largest weight is added. With
+    equal weights the interval is the exact interval of a Poisson count.
 
     Args:
         weights: Density of the other law over the density of the draws' law, at each draw with the event, shape (k,).
@@ -40,9 +40,9 @@ def weighted_interval(
 
 
 def effective_size(weights: np.ndarray) -> float:
-    """Effective sample size (sum w)^2 / sum w^2 of weights w by Kish: that many equal weights would be as precise.
+    """Kish's effective sample size (sum w)^2 / sum w^2 of weights w: that many equal weights would be as precise.
 
-    It is 0 without weights, or if all weights are 0.
+    The size is 0 if there are no weights, or if all are 0.
 
     Args:
         weights: Weights >= 0, shape (n,).

@@ -54,7 +54,7 @@ class WeightedChange:
 
 @dataclass(frozen=True)
 class WeightedDraws:
-    """Draws that are weighted, so that they tell the failure probability under changed laws.
+    """Draws with weights, which estimate the failure probability under changed laws.
 
     Args:
         change: Family of the changes, such as shifts.
@@ -86,8 +86,8 @@ class WeightedDraws:
     def is_trusted(self, size: float) -> bool:
         """Whether the weights of every change within this size are even enough for an estimate.
 
-        The effective number of draws must be at least :data:`LEAST_EFFECTIVE` under every such law. The effective
-        number of failing draws must be at least :data:`LEAST_FAILING` under the law with the most failures.
+        Under every such change, the effective number of draws must be at least :data:`LEAST_EFFECTIVE`. Under the
+        change with the most failures, the effective number of failing draws must be at least :data:`LEAST_FAILING`.
         """
         effective = len(self.scores) * np.exp(-self.change.log_second_moment_bound(size, self.free))
         return bool(effective >= LEAST_EFFECTIVE) and self.worst(size).failing >= LEAST_FAILING
@@ -124,7 +124,7 @@ class WeightedDraws:
         bounds = [(low, high) if is_free else (0.0, 0.0) for is_free in self.free]
 
         def cost(amounts: np.ndarray) -> tuple[float, np.ndarray]:
-            """Logarithm of the sum of the failing draws' weights, with the sign that a minimum needs, and its slope."""
+            """The function to minimise and its slope: -``sign`` times the log sum of the failing draws' weights."""
             logarithms = self.change.log_weights(amounts, failing)
             largest = logarithms.max()  # keeps the exponential finite
             weights = np.exp(logarithms - largest)
@@ -139,7 +139,9 @@ class WeightedDraws:
         return np.asarray(best.x)
 
     def _starts(self, failing: np.ndarray, sign: float, low: float, high: float) -> list[np.ndarray]:
-        """Starts of the search: no change, the corner along the gradient there, and corners towards failing draws.
+        """Starts of the search: no change, the corner along the gradient at no change, corners towards failing draws.
+
+        A corner has the least or the greatest amount of every number.
 
         Args:
             failing: Scores of the failing draws, shape (failures, numbers).
@@ -163,9 +165,10 @@ class LargestChange:
     Args:
         bound: Size up to which the upper limits of the intervals keep the limit, with their confidence; 0 if the
             interval without a change exceeds the limit already.
-        estimate: Size up to which the estimated probabilities keep the limit; None if no trusted change exceeds it.
-        explored: Largest size at which the weights are trusted; 0 if they are not even without a change.
-        worst: Worst change of the size ``estimate``, or ``explored`` without an estimate.
+        estimate: Size up to which the estimated probabilities keep the limit; None if no trusted change exceeds the
+            limit.
+        explored: Largest size at which the weights are trusted; 0 if they are not trusted even without a change.
+        worst: Worst change of the size ``estimate``, or of the size ``explored`` without an estimate.
     """
 
     bound: float
@@ -215,7 +218,9 @@ def largest_change(draws: WeightedDraws, limit: float) -> LargestChange:
 def largest_size(condition: Callable[[float], bool], end: float) -> float:
     """Largest size from 0 to ``end`` that meets a condition, by bisection; 0 if no size meets it.
 
-    If a size meets the condition, all smaller sizes must meet it, too.
+    Args:
+        condition: Whether a size is allowed. If it allows a size, it must allow all smaller sizes, too.
+        end: Largest size to try.
     """
     if not condition(0.0):
         return 0.0

@@ -70,15 +70,33 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
     movers = make_movers(parts, unmodelled, h)
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
-        """The states of plant and unmodelled dynamics after the sample that begins at t [s]."""
+        """The states of plant and unmodelled dynamics after the sample that begins at t [s].
+
+        Args:
+            drive_at: Returns the plant's input for a state, the commands that reach the plant, and a time.
+            plant: State of the plant at t.
+            states: States of the unmodelled dynamics at t.
+            commands: The command of each channel, held over the sample.
+            t: Time at which the sample begins [s].
+        """
 
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
-            """Both states after the substep with this index."""
+            """The states of plant and unmodelled dynamics after the substep with this index.
+
+            Args:
+                index: Index of the substep in the sample.
+                carry: Both states before the substep.
+            """
             plant, states = carry
             states, lines = apply_movers(movers, states, commands)
 
             def varying_signals(x: Sequence[Scalar], fraction: float) -> list[Scalar]:
-                """Disturbances, named inputs and the remainder's rates of change, at a fraction of the substep."""
+                """Disturbances, named inputs and the remainder's rates of change, at one time in the substep.
+
+                Args:
+                    x: State of the linear system at that time, length n.
+                    fraction: The time, as a fraction of the substep from 0 to 1.
+                """
                 time = t + (index + fraction) * h
                 at_plant, at_states = scatter_state(assembly, x, plant, states)
                 drive = drive_at(at_plant, actuation_at(assembly, at_states, lines, fraction), time)
@@ -106,7 +124,8 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
 class Assembly(NamedTuple):
     """A plant's linear part in series with the linear unmodelled dynamics of each channel, as one linear system.
 
-    Its state x lists the plant's states, then the states of the linear unmodelled dynamics, channel by channel.
+    The state x of the system has the plant's states first, then the states of the linear unmodelled dynamics, channel
+    by channel.
 
     Args:
         a: State matrix, shape (n, n).
@@ -122,10 +141,10 @@ class Assembly(NamedTuple):
 
 
 def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> Assembly:
-    """Put a plant's linear part and the linear unmodelled dynamics before it together as one linear system.
+    """Combine a plant's linear part and the linear unmodelled dynamics before it into one linear system.
 
-    A channel's system z' = A z + b u, y = c z + d u drives the plant by its output: the plant's column g of the command
-    becomes the block g c of the state matrix, and the command itself enters through g d and b.
+    A channel's unmodelled dynamics z' = A z + b u, y = c z + d u drive the plant by their output y. So the plant's
+    column g of the command becomes the block g c of the state matrix, and the command itself enters through g d and b.
 
     Args:
         parts: The models and the clock.
@@ -165,15 +184,15 @@ def insert_system(
     system: LinearSystem,
     offset: int,
 ) -> None:
-    """Put the unmodelled dynamics of one channel between its command and the plant, in place.
+    """Put the unmodelled dynamics of one channel between its command and the plant; changes the arguments in place.
 
     Args:
-        matrix: State matrix of the assembly, shape (n, n); gets the blocks A and g c.
-        command_column: Column of the channel's command, shape (n,), that still drives the plant directly; becomes g d
-            in the plant's rows, and b in the rows of the unmodelled dynamics.
+        matrix: State matrix of the assembly, shape (n, n). The blocks A and g c are written into it.
+        command_column: Column of the channel's command, shape (n,), with the plant's column g in the plant's rows.
+            These rows become g d, and the rows of the unmodelled dynamics become b.
         plant_column: The plant's column g of the command, shape (states of the plant,).
         system: The unmodelled dynamics, with A, b, c and d.
-        offset: Index of their first state.
+        offset: Index of the first state of the unmodelled dynamics.
     """
     end = offset + len(system.a)
     for state, weight in enumerate(system.c):
@@ -188,7 +207,12 @@ def insert_system(
 def find_remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels: int) -> tuple[int, ...]:
     """Indices of the plant's states whose derivatives have a nonlinear remainder; empty for a linear plant.
 
-    A trace of the remainder tells them: its entries for all other states are plain zeros.
+    The remainder is traced once. In the trace, the entries of all states without a remainder are plain zeros.
+
+    Args:
+        plant: The plant.
+        params: Parameters of the plant.
+        channels: Number of channels.
     """
     if plant.remainder is None:
         return ()
@@ -197,7 +221,10 @@ def find_remainder_rows(plant: Plant[Measurements, Signals], params: Params, cha
     is_zero_entry: list[bool] = []
 
     def record_zeros(state: State) -> State:
-        """The remainder in a state; while it is traced, ``is_zero_entry`` gets a flag for each entry."""
+        """The remainder in a state of the plant.
+
+        While JAX traces this function, it appends to ``is_zero_entry`` whether each entry is a plain zero.
+        """
         drive: PlantInput[Signals] = PlantInput(zeros, zeros, wind=None, inputs=quiet_inputs(plant, params))
         slope = remainder(params, state, drive, 0.0)
         is_zero_entry.extend(is_zero(entry) for entry in jax.tree.leaves(slope))
@@ -208,9 +235,14 @@ def find_remainder_rows(plant: Plant[Measurements, Signals], params: Params, cha
 
 
 def gather_state(assembly: Assembly, plant: State, states: States) -> list[Scalar]:
-    """The state x of the assembled linear system, length n, from the states of plant and unmodelled dynamics.
+    """The state x of the assembled linear system, length n.
 
-    It lists the numbers of the plant's state, then the numbers of each linear unmodelled dynamics.
+    The numbers of the plant's state come first, then the numbers of each channel's linear unmodelled dynamics.
+
+    Args:
+        assembly: The assembled system.
+        plant: State of the plant.
+        states: State of each channel's unmodelled dynamics; nonlinear dynamics are not a part of x.
     """
     x = jax.tree.leaves(plant)
     for offset, state in zip(assembly.offsets, states, strict=True):
@@ -224,7 +256,7 @@ def scatter_state(assembly: Assembly, x: Sequence[Scalar], plant: State, states:
 
     Args:
         assembly: The linear system.
-        x: Its state, length n.
+        x: State of the linear system, length n.
         plant: A state of the plant, which gives the structure.
         states: States of the unmodelled dynamics. Linear ones give their structure; all others are returned as they
             are, because x does not contain them.
@@ -253,7 +285,7 @@ def etd_step(
     moves the state by the exact solution for a polynomial through the values so far.
 
     Args:
-        held_system: The exact solution over the step and over half of it.
+        held_system: The exact solution over the step and over half the step.
         parts: The models.
         x: State of the linear system, length n.
         inputs: For each channel the terms of its command, a polynomial in time over the step.
@@ -262,7 +294,10 @@ def etd_step(
     """
 
     def all_inputs(polynomials: Sequence[Sequence[Scalar]]) -> list[Sequence[Scalar]]:
-        """The commands and these polynomials of the varying signals, each with as many terms as its forcing has."""
+        """The input terms of the whole system: those of the commands, then those of the varying signals.
+
+        Each polynomial is cut to as many terms as the forcing of its signal has.
+        """
         terms_of_inputs = list(inputs)
         for polynomial, forcing in zip(polynomials, forcings[len(inputs) :], strict=True):
             terms_of_inputs.append(polynomial[: forcing.terms])

@@ -36,8 +36,8 @@ SubstepAt = Callable[[DriveAt, Signals, Scalar], Substep]
 def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, observe: Observer | None = None) -> Advance:
     """Return the function that advances a plant over one sample in fixed steps.
 
-    A plant with a solver of its own makes them itself; any other plant is integrated by the loop's method. Software on
-    board, where there is any, runs between the steps.
+    A plant with its own solver makes the steps itself; any other plant is integrated by the loop's method. Software on
+    board, if the plant has any, runs between the steps.
 
     Args:
         parts: The models and the clock.
@@ -52,7 +52,15 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, obser
     substep_for = fixed_substeps(parts, params, unmodelled)
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
-        """The states of plant and unmodelled dynamics after the sample that begins at t [s]."""
+        """The states of plant and unmodelled dynamics after the sample that begins at t [s].
+
+        Args:
+            drive_at: Returns the plant's input for a state, the commands that reach the plant, and a time.
+            plant: State of the plant at t.
+            states: States of the unmodelled dynamics at t.
+            commands: The command of each channel, held over the sample.
+            t: Time at which the sample begins [s].
+        """
         return repeat_substeps(substep_for(drive_at, commands, t), (plant, states), parts.substeps)
 
     return advance
@@ -63,23 +71,32 @@ def advance_with_software(
 ) -> Advance:
     """Return the function that advances a plant over one sample, with ticks of its software on board between the steps.
 
-    At the start of the sample the software receives the plant's input. Each tick then holds its results over an equal
-    share of the substeps.
+    At the start of the sample the software receives the plant's input. After each tick the software's results are held
+    over an equal share of the substeps.
 
     Args:
         parts: The models and the clock.
         params: The plant's parameters.
         unmodelled: Parameters of the unmodelled dynamics of each channel.
         software: The software on board.
-        period: Time between two of its ticks [s].
-        observe: Called at each tick; each is then traced for itself. None: no call, and one trace serves all ticks.
+        period: Time between two ticks of the software [s].
+        observe: Called at each tick, which is then traced separately. None: no call, and one trace serves all ticks.
     """
     substep_for = fixed_substeps(parts, params, unmodelled)
     ticks = ticks_in_sample(period, parts.sample_time, parts.substeps)
     steps_per_tick = parts.substeps // ticks
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
-        """The states of plant and unmodelled dynamics after the sample that begins at t [s]."""
+        """The states of plant and unmodelled dynamics after the sample that begins at t [s], with all ticks of the
+        software.
+
+        Args:
+            drive_at: Returns the plant's input for a state, the commands that reach the plant, and a time.
+            plant: State of the plant at t.
+            states: States of the unmodelled dynamics at t.
+            commands: The command of each channel, held over the sample.
+            t: Time at which the sample begins [s].
+        """
         substep = substep_for(drive_at, commands, t)
         outputs = []
         for model, p, state, command in zip(parts.unmodelled, unmodelled, states, commands, strict=True):
@@ -87,7 +104,7 @@ def advance_with_software(
         drive = drive_at(plant, tuple(outputs), t)
 
         def tick_and_move(tick: Scalar, at: tuple[State, States]) -> tuple[State, States]:
-            """Both states just before the next tick: the software runs, then the plant moves until then."""
+            """Both states just before the next tick: the software runs, then the plant moves up to that tick."""
             previous_plant, states = at
             ticked = software.tick(params, previous_plant, period)
             if observe is not None:
@@ -110,9 +127,9 @@ def advance_with_software(
 
 
 def fixed_substeps(parts: HeldParts, params: Params, unmodelled: States) -> SubstepAt:
-    """Return the function that makes, for each sample, the function of one substep of a plant without exact solution.
+    """Return a function that makes, for each sample, the function of one substep of a plant without exact solution.
 
-    In a substep, linear unmodelled dynamics move by their exact solution. Their output reaches the plant as the
+    In a substep, linear unmodelled dynamics move by their exact solution. The plant receives their output as the
     straight line with the same mean and rise (:class:`~dssc_jax.core.sampled_linear.Moments`).
 
     Args:
@@ -128,15 +145,32 @@ def fixed_substeps(parts: HeldParts, params: Params, unmodelled: States) -> Subs
     movers = make_movers(parts, unmodelled, h)
 
     def substep_for(drive_at: DriveAt, commands: Signals, t: Scalar) -> Substep:
-        """The function of one substep in the sample that begins at t [s]."""
+        """The function of one substep in one sample.
+
+        Args:
+            drive_at: Returns the plant's input for a state, the commands that reach the plant, and a time.
+            commands: The command of each channel, held over the sample.
+            t: Time at which the sample begins [s].
+        """
 
         @jax.jit  # traced once for all stages of the integrator
         def rate(plant: State, time: Scalar, actuation: Signals) -> State:
-            """The derivative of the plant's state, with the commands that reach the plant."""
+            """The derivative of the plant's state.
+
+            Args:
+                plant: State of the plant.
+                time: Time [s].
+                actuation: The command of each channel that reaches the plant.
+            """
             return parts.plant.derivative(params, plant, drive_at(plant, actuation, time), time)
 
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
-            """Both states after the substep with this index."""
+            """The states of plant and unmodelled dynamics after the substep with this index.
+
+            Args:
+                index: Index of the substep in the sample.
+                carry: Both states before the substep.
+            """
             plant, states = carry
             states, input_lines = apply_movers(movers, states, commands)
             next_states = list(states)
@@ -146,9 +180,14 @@ def fixed_substeps(parts: HeldParts, params: Params, unmodelled: States) -> Subs
                     next_states[i], lines[i] = system.step(states[i], polynomial_terms(model, lines[i]))
 
             def derivative(plant: State, half_steps: int) -> State:
-                """The derivative of the plant's state at a stage of the integrator, so many half steps after the start.
+                """The derivative of the plant's state at a stage of the integrator.
 
-                Euler's method, which has one stage, gets the mean of the line; any other gets its value at the stage.
+                Euler's method has one stage, and gets the mean of each line. Any other method gets the line's value at
+                the stage.
+
+                Args:
+                    plant: State of the plant at the stage.
+                    half_steps: Time from the start of the substep to the stage, in half substeps: 0, 1 or 2.
                 """
                 fraction = 0.5 * half_steps
                 share = 0.0 if parts.integrator == Integrator.EULER else fraction - 0.5  # of the rise

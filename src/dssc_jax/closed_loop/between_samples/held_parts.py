@@ -37,7 +37,7 @@ class HeldParts(NamedTuple):
         unmodelled: Unmodelled dynamics of each channel.
         variations: How the disturbance of each channel, then of each named input, varies within a sample.
         integrator: Method of integration of the nonlinear parts.
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
         substeps: Number of steps in a sample for parts without an exact solution.
     """
 
@@ -85,17 +85,27 @@ def make_movers(parts: HeldParts, unmodelled: States, h: float) -> list[Mover]:
 
 
 def make_mover(model: Unmodelled, params: Params, h: float) -> Mover:
-    """Return the function that advances unmodelled dynamics, apart from their linear part, over a step of length h [s].
+    """Return the function that advances the part of unmodelled dynamics that is not linear, over one step.
 
-    That function takes state and command. It returns the next state, and mean and rise over the step of the signal that
-    enters the linear part, or the plant if there is none. A model that does not state mean and rise has its output
-    evaluated at three times, for Simpson's rule.
+    The returned function takes the state and the command. Its results are the next state, and mean and rise over the
+    step of the signal that enters the linear part, or the plant if there is no linear part. If the model does not state
+    mean and rise, they follow from its output at three times, by Simpson's rule.
+
+    Args:
+        model: The unmodelled dynamics.
+        params: Parameters of the dynamics.
+        h: Length of the step [s].
     """
     if model.advance is not None:
         return model.advance(params, h)
 
     def move(state: State, command: Scalar) -> tuple[State, Moments]:
-        """The state after the step, and mean and rise of the output over it."""
+        """The state after the step, and mean and rise over the step of the signal that leaves the nonlinear part.
+
+        Args:
+            state: State of the dynamics before the step.
+            command: The command, held over the step.
+        """
         if model.linear is not None:  # the held command enters the linear part
             return state, Moments(command, rise=0.0)
         next_state = model.step(params, state, command, h)
@@ -134,7 +144,12 @@ def apply_movers(movers: Sequence[Mover], states: States, commands: Signals) -> 
 def repeat_substeps(substep: Substep, begin: tuple[State, States], count: int) -> tuple[State, States]:
     """The states of plant and unmodelled dynamics after ``count`` substeps.
 
-    More than :data:`UNROLLED` substeps become a loop whose body is traced once, to keep compilation short.
+    More than :data:`UNROLLED` substeps become a loop, whose body is traced once, to keep compilation short.
+
+    Args:
+        substep: Takes the index of a substep and both states; returns both states after the substep.
+        begin: Both states before the first substep.
+        count: Number of substeps.
     """
     if count > UNROLLED:
         return jax.lax.fori_loop(0, count, lambda i, carry: as_arrays(substep(i, carry)), as_arrays(begin))

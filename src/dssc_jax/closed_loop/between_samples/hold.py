@@ -13,9 +13,10 @@ from dssc_jax.core.signals import Params
 
 
 def between_samples(parts: HeldParts, plant: Params, unmodelled: tuple[Params, ...]) -> Advance:
-    """Return the function that advances plant and unmodelled dynamics of one draw by one sample.
+    """Return the function that advances the plant and the unmodelled dynamics of one draw by one sample.
 
-    Call it before the time loop, so that matrices which depend on the parameters alone are computed once for a draw.
+    Call ``between_samples`` before the time loop: matrices that depend on the parameters alone are then computed once
+    for a draw.
 
     Args:
         parts: The models and the clock.
@@ -30,7 +31,8 @@ def between_samples(parts: HeldParts, plant: Params, unmodelled: tuple[Params, .
 def is_exact(parts: HeldParts) -> bool:
     """Whether the loop has an exact solution between the samples, so that the number of substeps does not matter.
 
-    It has if every signal that enters the plant's linear part is constant over a sample, and nothing nonlinear is left.
+    This requires that every signal at the input of the plant's linear part is constant over a sample, and that nothing
+    nonlinear is left.
     """
     disturbances_vary = any(variation != Variation.HELD for variation in parts.variations)
     if disturbances_vary:
@@ -42,9 +44,10 @@ def is_exact(parts: HeldParts) -> bool:
 
 
 def order_between_samples(parts: HeldParts) -> int:
-    """Order p of the integration error, which falls as h^p with the substep h; for a loop without an exact solution.
+    """Order p of the integration error, which falls as h^p with the substep h.
 
-    It is the smallest order among the loop's method and the unmodelled dynamics that state an order.
+    The order is the smallest one among the loop's method and the unmodelled dynamics that state an order. It means
+    nothing for a loop with an exact solution.
     """
     # a plant with a solver of its own receives a constant input, as by Euler's method
     integrator = Integrator.EULER if parts.plant.advance is not None else parts.integrator

@@ -19,11 +19,12 @@ def initial_accumulators(
 ) -> tuple[Accumulator, ...]:
     """The accumulator of every measure before the first sample.
 
-    A margin of the linearised loop is known by then, and no sample changes it: its value is its accumulator.
+    A margin of the linearised loop is known before the flight, and no sample changes it. Therefore the accumulator of a
+    margin is the margin itself.
 
     Args:
         measures: The measures.
-        margins: Value of each margin of the linearised loop among them, by the measure's name.
+        margins: Value of each margin of the linearised loop among the measures, by the measure's name.
     """
     accumulators = []
     for measure in measures:
@@ -39,7 +40,7 @@ def update_accumulators(
 
     Args:
         measures: The measures.
-        accumulators: Their accumulators before the sample.
+        accumulators: Accumulator of each measure before the sample.
         instant: The loop at the sample.
         k: Index of the sample.
         t_s: Sample time T_s [s].
@@ -63,7 +64,7 @@ def final_values(
 
     Args:
         measures: The measures.
-        accumulators: Their accumulators after the last sample.
+        accumulators: Accumulator of each measure after the last sample.
         steps: Number of samples of the run.
         t_s: Sample time T_s [s].
     """
@@ -78,10 +79,14 @@ def final_values(
 
 
 def require_like(value: Accumulator, pattern: Accumulator) -> None:
-    """Require that what a metric's code returns has the structure of a pattern, with arrays of the same shapes.
+    """Require that the result of a metric's code has the structure of a pattern, and arrays of the same shapes.
+
+    Args:
+        value: The result.
+        pattern: An accumulator of the expected form.
 
     Raises:
-        TypeError: It has another structure, or other shapes.
+        TypeError: The result has another structure, or other shapes.
     """
     structure = jax.tree.structure(value)
     expected = jax.tree.structure(pattern)

@@ -25,7 +25,12 @@ Combination: TypeAlias = Callable[[Scalar, Scalar], Scalar]
 
 
 class Extremes(NamedTuple):
-    """Minimum and maximum of two numbers, exact or smooth."""
+    """Minimum and maximum of two numbers, exact or smooth.
+
+    Args:
+        minimum: ``(a, b) -> minimum``.
+        maximum: ``(a, b) -> maximum``.
+    """
 
     minimum: Combination
     maximum: Combination
@@ -35,15 +40,20 @@ EXACT = Extremes(jnp.minimum, jnp.maximum)
 
 
 def smooth_minimum(width: float, a: Scalar, b: Scalar) -> Scalar:
-    """The smooth minimum -w ln(exp(-a/w) + exp(-b/w)) of a width w, which has derivatives everywhere.
+    """The smooth minimum -w ln(exp(-a/w) + exp(-b/w)), which has derivatives everywhere.
 
-    It lies below min(a, b), by at most w ln 2.
+    It lies below min(a, b), by at most w ln 2. The form in the code cannot overflow.
+
+    Args:
+        width: Width w of the smoothing, in the unit of a and b.
+        a: First value.
+        b: Second value.
     """
     return jnp.minimum(a, b) - width * jnp.log1p(jnp.exp(-jnp.abs(a - b) / width))
 
 
 def smooth_extremes(width: float) -> Extremes:
-    """A smooth minimum of this width (:func:`smooth_minimum`), and the maximum -min(-a, -b) that belongs to it."""
+    """A smooth minimum of this width (:func:`smooth_minimum`), and the maximum -min(-a, -b) that follows from it."""
     minimum = partial(smooth_minimum, width)
     return Extremes(minimum, lambda a, b: -minimum(-a, -b))
 
@@ -53,9 +63,9 @@ Aggregate: TypeAlias = tuple[Scalar, ...]
 
 
 class DelayLines:
-    """Delays of values by whole samples, as ring buffers one after the other in one array.
+    """Delays of values by whole samples: ring buffers that lie one after the other in one array.
 
-    Each call of :meth:`delayed` is a delay line and takes the next part of the array, so the calls must come in the
+    Each call of :meth:`delayed` uses the next delay line, a part of the array. Therefore the calls must come in the
     same order at every sample.
 
     Args:
@@ -70,7 +80,7 @@ class DelayLines:
         self.size = 0  # numbers in the lines so far
 
     def delayed(self, value: Scalar, samples: int) -> Scalar:
-        """Pass a value into the next delay line, and return the value that it received some samples ago.
+        """Pass a value into the next delay line, and return the value that this line received ``samples`` samples ago.
 
         Args:
             value: The present value.
@@ -147,22 +157,32 @@ class Stream:
         return value
 
     def extreme_of_window(self, combine: Combination, value: Scalar, width: int) -> Scalar:
-        """The minimum or maximum, according to ``combine``, of a signal's last ``width`` values."""
+        """The minimum or maximum of a signal's last ``width`` values.
+
+        Args:
+            combine: Minimum or maximum of two numbers.
+            value: The present value.
+            width: Number of values.
+        """
         (extreme,) = self.window((value,), width, lambda older, newer: (combine(older[0], newer[0]),))
         return extreme
 
     def until(self, formula: Until) -> Scalar:
         """The robustness of ``before until goal``.
 
-        Over a sliding window from ``begin`` to ``end`` it combines pairs: the robustness of ``until`` within the
-        window, and the smallest robustness of ``before`` in it. The smallest robustness of ``before`` from the instant
-        to ``begin`` then bounds the result.
+        A sliding window from ``begin`` to ``end`` combines pairs: the robustness of ``until`` within the window, and
+        the smallest robustness of ``before`` in the window. If ``begin`` is later than the instant itself, ``before``
+        must also hold from the instant to ``begin``, so its smallest robustness there bounds the result.
         """
         minimum, maximum = self.extremes
         before, goal = self.aligned((formula.before, formula.goal))
 
         def combine(older: Aggregate, newer: Aggregate) -> Aggregate:
-            """The pair of a window: the goal comes in the older part, or in the newer one after ``before`` has held."""
+            """The pair of a joint window, from the pairs of its older and its newer part.
+
+            The goal comes in the older part, or it comes in the newer part and ``before`` has held in all of the older
+            one.
+            """
             older_until, older_before = older
             newer_until, newer_before = newer
             return maximum(older_until, minimum(older_before, newer_until)), minimum(older_before, newer_before)

@@ -10,9 +10,10 @@ from dssc_jax.core.signals import Scalar
 
 @dataclass(frozen=True)
 class Comparison:
-    """A comparison of signals such as ``e < 0.1``, by the function that gives its margin at a sample.
+    """A comparison of signals such as ``e < 0.1``.
 
-    The margin is positive where the comparison holds: here 0.1 - e.
+    Args:
+        margin: Returns the margin of the comparison at a sample, positive where the comparison holds: here 0.1 - e.
     """
 
     margin: Callable[[Instant], Scalar]
@@ -20,28 +21,46 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Not:
-    """The negation of a formula."""
+    """The negation of a formula.
+
+    Args:
+        inner: The formula.
+    """
 
     inner: "Formula"
 
 
 @dataclass(frozen=True)
 class And:
-    """The conjunction of formulas."""
+    """The conjunction of formulas: all of them hold.
+
+    Args:
+        parts: The formulas.
+    """
 
     parts: tuple["Formula", ...]
 
 
 @dataclass(frozen=True)
 class Or:
-    """The disjunction of formulas."""
+    """The disjunction of formulas: at least one of them holds.
+
+    Args:
+        parts: The formulas.
+    """
 
     parts: tuple["Formula", ...]
 
 
 @dataclass(frozen=True)
 class Always:
-    """``inner`` holds at every sample from ``begin`` to ``end`` after the instant, both included."""
+    """``inner`` holds at every sample from ``begin`` to ``end`` after the instant, both included.
+
+    Args:
+        begin: First sample, counted from the instant.
+        end: Last sample, counted from the instant.
+        inner: The formula that must hold.
+    """
 
     begin: int
     end: int
@@ -50,7 +69,13 @@ class Always:
 
 @dataclass(frozen=True)
 class Eventually:
-    """``inner`` holds at one or more samples from ``begin`` to ``end`` after the instant."""
+    """``inner`` holds at one or more samples from ``begin`` to ``end`` after the instant, both included.
+
+    Args:
+        begin: First sample, counted from the instant.
+        end: Last sample, counted from the instant.
+        inner: The formula that must hold.
+    """
 
     begin: int
     end: int
@@ -59,7 +84,14 @@ class Eventually:
 
 @dataclass(frozen=True)
 class Until:
-    """``goal`` holds at a sample from ``begin`` to ``end``, and ``before`` at all samples before that one."""
+    """``goal`` holds at a sample from ``begin`` to ``end``, and ``before`` holds from the instant up to that sample.
+
+    Args:
+        begin: First sample at which ``goal`` counts, counted from the instant.
+        end: Last sample at which ``goal`` counts, counted from the instant.
+        before: The formula that must hold at all samples before the sample at which ``goal`` holds.
+        goal: The formula that must hold at one sample.
+    """
 
     begin: int
     end: int
@@ -85,6 +117,6 @@ def parts_of(formula: Formula) -> tuple[Formula, ...]:
 
 
 def horizon(formula: Formula) -> int:
-    """Number of samples after an instant that must have passed before the formula's value at that instant is known."""
+    """Number of samples that must pass after an instant before the formula's value at that instant is known."""
     horizon_of_parts = max((horizon(part) for part in parts_of(formula)), default=0)
     return horizon_of_parts + formula.end if isinstance(formula, Timed) else horizon_of_parts

@@ -60,12 +60,12 @@ It is finite, because the difference of two infinities is NaN.
 
 
 class Latch(NamedTuple):
-    """The memory, during a flight, of a formula whose robustness is needed at one instant only.
+    """The memory, during a flight, of a formula whose robustness is needed at one sample only.
 
     Args:
-        value: Its robustness over the samples so far.
+        value: Robustness of the formula over the samples so far.
         smallest_before: For ``until``, the smallest robustness of ``before`` so far; :data:`FAR` for other formulas.
-        decision: Number of samples after which its truth was certain; 0: not yet.
+        decision: Number of samples after which the truth of the formula was certain; 0: it is not certain yet.
     """
 
     value: Scalar
@@ -74,20 +74,25 @@ class Latch(NamedTuple):
 
 
 class LatchedFormula(NamedTuple):
-    """A formula whose robustness is needed at one instant only, with the index ``at`` of that sample."""
+    """A formula whose robustness is needed at one sample only.
+
+    Args:
+        formula: The formula.
+        at: Index of the sample.
+    """
 
     formula: Formula
     at: int
 
 
 def latched_formulas(formula: Formula, at: int = 0) -> Iterator[LatchedFormula]:
-    """The parts of a formula that are needed at one instant only, each of which has a :class:`Latch`.
+    """Yield the parts of a formula whose values are needed at one sample only; each has a :class:`Latch`.
 
-    They are its outermost temporal operators, and the comparisons outside of these.
+    These parts are the outermost temporal operators of the formula, and the comparisons outside of all such operators.
 
     Args:
         formula: The formula.
-        at: The sample at which it is evaluated.
+        at: The sample at which the formula is evaluated.
     """
     match formula:
         case Not() | And() | Or():
@@ -100,7 +105,10 @@ def latched_formulas(formula: Formula, at: int = 0) -> Iterator[LatchedFormula]:
 
 
 def initial_latch(latched: LatchedFormula) -> Latch:
-    """The latch of a formula before the first sample: each extreme starts at the value that any other replaces."""
+    """The latch of a formula before the first sample, with values that the first robustness replaces.
+
+    A latch that keeps the largest value starts at -:data:`FAR`, and one that keeps the smallest value at :data:`FAR`.
+    """
     keeps_largest = isinstance(latched.formula, Eventually | Until)
     return Latch(value=-FAR if keeps_largest else FAR, smallest_before=FAR, decision=0.0)
 
@@ -108,14 +116,14 @@ def initial_latch(latched: LatchedFormula) -> Latch:
 def next_latch(latched: LatchedFormula, latch: Latch, stream: Stream, k: Scalar) -> Latch:
     """The latch of a formula after sample k.
 
-    ``always`` keeps the smallest, ``eventually`` and ``until`` keep the largest robustness in their interval. The first
-    violation decides ``always``, the first success decides the others, and ``until`` also fails for good once
-    ``before`` has failed.
+    ``always`` keeps the smallest robustness in its interval; ``eventually`` and ``until`` keep the largest. The first
+    violation decides ``always``, and the first success decides the other two. ``until`` is also decided once ``before``
+    has failed: it can never hold again.
 
     Args:
-        latched: The formula, a temporal operator or a comparison, and the sample at which it is needed.
+        latched: The formula, a temporal operator or a comparison, and the sample at which its value is needed.
         latch: The latch before the sample.
-        stream: Evaluates the formula's parts, with a delay by the longest of their horizons.
+        stream: Evaluates the formula's parts, delayed by the longest of their horizons.
         k: Index of the sample.
     """
     formula = latched.formula
@@ -148,8 +156,8 @@ class Judgement(NamedTuple):
     """The verdict on a formula at the end of a flight.
 
     Args:
-        value: Its robustness.
-        decision: Number of samples after which its truth was certain.
+        value: Robustness of the formula.
+        decision: Number of samples after which the truth of the formula was certain.
     """
 
     value: Scalar
@@ -161,7 +169,7 @@ def judge_formula(formula: Formula, latches: Iterator[Latch], extremes: Extremes
 
     Args:
         formula: The formula.
-        latches: The latches of its :func:`latched_formulas`, in that order; each is taken once.
+        latches: The latches of the formula's :func:`latched_formulas`, in the same order; each is taken once.
         extremes: Exact or smooth minimum and maximum.
         at: The sample at which the formula is evaluated.
     """
@@ -186,11 +194,11 @@ def judge_formula(formula: Formula, latches: Iterator[Latch], extremes: Extremes
 def judge_jointly(combine: Combination, is_conjunction: bool, first: Judgement, second: Judgement) -> Judgement:
     """The verdict on "first and second", or on "first or second".
 
-    A false part decides "and" alone, a true part decides "or" alone; otherwise both parts must be certain.
+    One false part decides "and", and one true part decides "or". Otherwise the verdict is certain once both parts are.
 
     Args:
         combine: Minimum for "and", maximum for "or".
-        is_conjunction: Whether it is "and".
+        is_conjunction: Whether the formula is "and".
         first: Verdict on the first part.
         second: Verdict on the second part.
     """
@@ -205,8 +213,8 @@ class Evaluation(NamedTuple):
     """The memory of a formula's evaluation during a flight.
 
     Args:
-        latches: Latch of each of its :func:`latched_formulas`.
-        memory: The array of all its delay lines, shape (:func:`memory_size`,); () if it has no delay line.
+        latches: Latch of each of the formula's :func:`latched_formulas`.
+        memory: The array of all delay lines, shape (:func:`memory_size`,); () for a formula without delay lines.
     """
 
     latches: tuple[Latch, ...]
@@ -235,7 +243,7 @@ def initial_evaluation(formula: Formula) -> Evaluation:
 def memory_size(formula: Formula) -> int:
     """Number of values that the delay lines of a formula hold together.
 
-    An evaluation with plain zeros in place of signals counts them.
+    To count the values, the formula is evaluated once with plain zeros in place of signals.
     """
     stream = Stream(lambda comparison: 0.0, DelayLines(), Extremes(min, max))
     for latched in latched_formulas(formula):
@@ -265,13 +273,21 @@ def next_evaluation(formula: Formula, extremes: Extremes, state: Evaluation, ins
 
 @jax.custom_jvp
 def with_slope_of(value: Scalar, substitute: Scalar) -> Scalar:
-    """The value, with the derivatives of a substitute in place of its own."""
+    """The value, with the derivatives of the substitute in place of its own.
+
+    :func:`slope_of_substitute` defines these derivatives; the number ``substitute`` itself is not used.
+    """
     return value
 
 
 @with_slope_of.defjvp
 def slope_of_substitute(at: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-    """The JVP of :func:`with_slope_of`: the value, and the tangent of the substitute."""
+    """The JVP of :func:`with_slope_of`: the value itself, with the tangent of the substitute.
+
+    Args:
+        at: The value, and the substitute.
+        tangents: Tangents of both; that of the value is not read.
+    """
     value, _ = at
     _, substitute_tangent = tangents
     return value, substitute_tangent
@@ -290,7 +306,7 @@ class RobustnessUpdate:
     width: float
 
     def __call__(self, state: FormulaState, instant: Instant, window: Window) -> FormulaState:
-        """The metric's accumulator after a sample."""
+        """The metric's accumulator after a sample; a formula has its own instants, so ``window`` is not read."""
         exact = next_evaluation(self.formula, EXACT, state.exact, instant)
         if not isinstance(state.smooth, Evaluation):
             return FormulaState(exact)
@@ -310,7 +326,10 @@ class RobustnessValue:
     width: float
 
     def __call__(self, state: FormulaState, window: Window, span: Span) -> Scalar:
-        """The exact robustness, with the derivatives of the smooth robustness where there is one."""
+        """The exact robustness; if there is a smooth robustness, with the derivatives of the smooth one.
+
+        A formula has its own instants, so ``window`` and ``span`` are not read.
+        """
         exact = judge_formula(self.formula, iter(state.exact.latches), EXACT)
         if not isinstance(state.smooth, Evaluation):
             return exact.value

@@ -8,6 +8,8 @@ from dssc_jax.core.signals import Info, ReferencePoint, Scalar
 class Sample(NamedTuple):
     """The signals of one channel at a sample, for metrics. The output is y = e + ``reference.y``.
 
+    Quantities without a unit have the units of the channel's output y and command u.
+
     Args:
         k: Index of the sample.
         dt: Sample time T_s [s].

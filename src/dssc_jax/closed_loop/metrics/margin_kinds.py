@@ -35,7 +35,7 @@ class MarginKind:
         meaning: Meaning in words.
         units: Units of a bound, each with its conversion to the first one, which is the unit of the margin.
         good: ``large`` or ``small``: which values are good.
-        neutral: The value at the limit of stability, and of unstable loops; NaN: no value tells that limit.
+        neutral: The value at the limit of stability, which unstable loops also get; NaN: the margin has no such value.
         most: The largest possible value.
     """
 
@@ -49,14 +49,17 @@ class MarginKind:
 
     @property
     def worst(self) -> float:
-        """The value that replaces NaN: the limit of stability, or an infinite value if that limit has none."""
+        """The value that replaces NaN: that at the limit of stability, or else the infinity on the bad side."""
         has_limit = not math.isnan(self.neutral)
         if has_limit:
             return self.neutral
         return -math.inf if self.good == "large" else math.inf
 
     def in_unit(self, value: float, unit: str) -> float:
-        """Convert a value in the margin's unit to another of its units, such as rad to deg."""
+        """Convert a value in the margin's own unit, such as rad, to another of its units, such as deg.
+
+        A gain is converted to decibels as 20 log10; a gain of 0 or less is -inf dB.
+        """
         if self.units[unit] is decibel:
             return 20.0 * math.log10(value) if value > 0.0 else -math.inf
         return value / self.units[unit](1.0)

@@ -1,7 +1,7 @@
 """Margins of the linearised loop as metrics of a draw.
 
-A margin belongs to a loop, not to a flight. It is computed before the flight, its accumulator starts at the value, and
-no sample changes it.
+A margin belongs to a loop, and not to a flight. The margin is computed before the flight. Its accumulator starts at the
+value, and no sample changes the value.
 """
 
 from collections.abc import Sequence
@@ -13,12 +13,12 @@ from dssc_jax.core.signals import Scalar
 
 
 def keep_value(acc: Accumulator, sample: MetricInput, window: Window) -> Accumulator:
-    """The margin itself: no sample of the flight changes it."""
+    """The margin itself, which is computed before the flight: no sample changes it, so only ``acc`` is read."""
     return acc
 
 
 def decision_sample(acc: Accumulator) -> Scalar:
-    """Number of samples after which the verdict on a margin is certain: 1, since the flight cannot change it."""
+    """Number of samples after which the verdict on a margin is certain: 1, as the flight cannot change a margin."""
     return 1.0
 
 

@@ -26,17 +26,26 @@ SHARE_OF_SAMPLING = 0.05  # chattering frequency over the sampling frequency, a 
 
 
 def integral(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Integral of a signal over the window, the sum of its samples times T_s."""
+    """Integral of a signal over the window: the accumulated sum of its samples times T_s.
+
+    The sum contains the window's samples only, so ``window`` is not read.
+    """
     return acc * span.sample_time
 
 
 def magnitude_of_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Absolute value of the mean over the window, from the sum of the samples."""
+    """Absolute value of the mean over the window, from the accumulated sum; the contract's ``window`` is not read."""
     return jnp.abs(acc) / span.sample_count
 
 
 def update_timed_error(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-    """Add |e| times the time since the window's start."""
+    """Add |e| times the time since the window's start.
+
+    Args:
+        acc: Sum so far.
+        sample: The sample.
+        window: The window, which starts at ``window.after`` [s].
+    """
     return acc + (sample.k * sample.dt - window.after) * jnp.abs(sample.e)
 
 
@@ -53,13 +62,19 @@ class ErrorBeyondZero(NamedTuple):
 
 
 def update_overshoot(acc: ErrorBeyondZero, sample: Sample, window: Window) -> ErrorBeyondZero:
-    """Note the sign of the first error, and the size of the largest error of the opposite sign."""
+    """Note the sign of the first error, and the size of the largest error of the opposite sign.
+
+    A side of 0 means that all errors so far were 0. The contract's ``window`` is not read.
+    """
     side = jnp.where(acc.side == 0.0, sign(sample.e), acc.side)
     return ErrorBeyondZero(side, jnp.maximum(acc.largest, -side * sample.e))
 
 
 def largest_error_beyond_zero(acc: ErrorBeyondZero, window: Window, span: Span) -> Scalar:
-    """Size of the largest error on the other side of zero."""
+    """Size of the largest error whose sign is opposite to that of the first error.
+
+    The accumulator holds it; the contract's ``window`` and ``span`` are not read.
+    """
     return acc.largest
 
 
@@ -84,7 +99,8 @@ class CommandBands(NamedTuple):
 def update_bands(acc: CommandBands, sample: Sample, window: Window) -> CommandBands:
     """Split the sample's command by a first-order low-pass filter, and add the energies of both parts.
 
-    The filter starts at the window's first command.
+    The filter starts at the window's first command. Its corner is the window's chattering frequency [Hz]; 0 selects a
+    fixed share of the sampling frequency.
     """
     frequency = window.chattering or SHARE_OF_SAMPLING / sample.dt  # [Hz]; 0 in the window: its default
     share = -jnp.expm1(-2.0 * math.pi * frequency * sample.dt)  # of the way to the command in one sample
@@ -96,7 +112,8 @@ def update_bands(acc: CommandBands, sample: Sample, window: Window) -> CommandBa
 def fast_share(acc: CommandBands, window: Window, span: Span) -> Scalar:
     """Share of the command's energy that lies above the chattering frequency; 0 for a constant command.
 
-    The energy of the slow part is counted about its mean, so that a constant command has none.
+    The energy of the slow part is counted about its mean, so that a constant command has none. The contract's
+    ``window`` is not read.
     """
     slow_energy = jnp.maximum(acc.squares - acc.total * acc.total / span.sample_count, 0.0)
     energy = acc.fast + slow_energy
@@ -116,7 +133,10 @@ class CommandAndNoise(NamedTuple):
 
 
 def update_amplification(acc: CommandAndNoise, sample: Sample, window: Window) -> CommandAndNoise:
-    """Add the energies of a sample's command and of its measurement error of sigma."""
+    """Add the energies of a sample's command and of its measurement error of sigma.
+
+    ``window`` gives the chattering frequency, which splits the command.
+    """
     command = update_bands(acc.command, sample, window)
     return CommandAndNoise(command, acc.noise + jnp.square(sample.sigma_measured - sample.sigma))
 
@@ -124,7 +144,7 @@ def update_amplification(acc: CommandAndNoise, sample: Sample, window: Window) -
 def amplification(acc: CommandAndNoise, window: Window, span: Span) -> Scalar:
     """rms of the command above the chattering frequency over the rms of the measurement error of sigma.
 
-    It is 0 for an exact measurement.
+    The value is 0 if the measurement is exact. The number of samples cancels, so ``span`` is not read.
     """
     is_noisy = acc.noise > 0.0
     return root_abs(jnp.where(is_noisy, acc.command.fast / jnp.where(is_noisy, acc.noise, 1.0), 0.0))
@@ -136,7 +156,7 @@ class DriftSum(NamedTuple):
     Args:
         samples: Number of samples so far.
         previous: Measurement error of sigma at the last sample [m/s].
-        total: Sum of the gain times each change of that error.
+        total: Sum over the samples of the controller's gain times the change of this error.
     """
 
     samples: Scalar = 0.0
@@ -145,9 +165,10 @@ class DriftSum(NamedTuple):
 
 
 def update_drift(acc: DriftSum, sample: Sample, window: Window) -> DriftSum:
-    """Add g(sigma_k) (n_k - n_(k-1)), which moves the command, for the measurement error n of sigma.
+    """Add g(sigma_k) (n_k - n_(k-1)), the move of the command by the change of the measurement error n of sigma.
 
-    g = 1/(k_o tau_av) is the controller's gain at the measured sigma. The first sample has no change, and adds nothing.
+    g = 1/(k_o tau_av) is the controller's gain at the measured sigma. The window's first sample has no previous one,
+    and adds nothing. The contract's ``window`` is not read.
     """
     noise = sample.sigma_measured - sample.sigma  # n_k
     step = (noise - acc.previous) * sample.info.integral_gain * sample.info.tau_m  # their product is g
@@ -155,7 +176,10 @@ def update_drift(acc: DriftSum, sample: Sample, window: Window) -> DriftSum:
 
 
 def drift_rate(acc: DriftSum, window: Window, span: Span) -> Scalar:
-    """Mean rate at which measurement noise drives the command: |sum of its moves| over the window's duration."""
+    """Mean rate at which measurement noise drives the command: |sum of the moves| over the window's duration.
+
+    The contract's ``window`` is not read: ``span`` has the duration.
+    """
     return jnp.abs(acc.total) / (span.sample_count * span.sample_time)
 
 
@@ -165,7 +189,7 @@ class CommandPath(NamedTuple):
     Args:
         samples: Number of samples so far.
         previous: Command at the last sample.
-        length: Sum of the sizes of its changes.
+        length: Sum of the sizes of the command's changes.
     """
 
     samples: Scalar = 0.0
@@ -174,13 +198,19 @@ class CommandPath(NamedTuple):
 
 
 def update_path(acc: CommandPath, sample: Sample, window: Window) -> CommandPath:
-    """Add the size of the command's change to this sample; the window's first sample adds nothing."""
+    """Add the size of the command's change since the previous sample; the window's first sample adds nothing.
+
+    The contract's ``window`` is not read.
+    """
     step = jnp.where(acc.samples == 0.0, 0.0, jnp.abs(sample.u_total - acc.previous))
     return CommandPath(acc.samples + 1.0, sample.u_total, acc.length + step)
 
 
 def path_length(acc: CommandPath, window: Window, span: Span) -> Scalar:
-    """The total variation of the command u + u_n over the window."""
+    """The total variation of the command u + u_n over the window.
+
+    The accumulator holds it; the contract's ``window`` and ``span`` are not read.
+    """
     return acc.length
 
 
@@ -197,13 +227,19 @@ class LogTrend(NamedTuple):
 
 
 def update_trend(acc: LogTrend, sample: Sample, window: Window) -> LogTrend:
-    """Add a sample's ln |sigma|; a sigma of 0 counts as the smallest normal number, to keep the logarithm finite."""
+    """Add a sample's ln |sigma|; a sigma of 0 counts as the smallest normal number, to keep the logarithm finite.
+
+    The contract's ``window`` is not read.
+    """
     level = jnp.log(jnp.maximum(jnp.abs(sample.sigma), jnp.finfo(jnp.result_type(float)).tiny))
     return LogTrend(acc.total + level, acc.moment + sample.k * level)
 
 
 def growth_rate(acc: LogTrend, window: Window, span: Span) -> Scalar:
-    """Least-squares slope of ln |sigma| over time [1/s]: positive if the oscillation grows."""
+    """Least-squares slope of ln |sigma| over time [1/s]: positive if the oscillation grows.
+
+    ``span`` gives the number of samples and their indices; the contract's ``window`` is not read.
+    """
     n = 1.0 * span.sample_count  # a real number, also if the draw decides the count and it is traced
     centre = span.steps - n + 0.5 * (n - 1.0)  # mean of the indices k
     spread = at_least(n * (n**2 - 1.0) / 12.0, 1.0)  # sum of (k - centre)^2; 1 for a single sample
@@ -211,12 +247,12 @@ def growth_rate(acc: LogTrend, window: Window, span: Span) -> Scalar:
 
 
 def update_largest_thrust(acc: Scalar, instant: Instant, window: Window) -> Scalar:
-    """The largest thrust of any rotor up to this sample [N]."""
+    """The largest thrust of any rotor up to this sample [N]; the contract's ``window`` is not read."""
     return reduce(jnp.maximum, instant.plant.rotor, acc)
 
 
 def update_smallest_thrust(acc: Scalar, instant: Instant, window: Window) -> Scalar:
-    """The smallest thrust of any rotor up to this sample [N]."""
+    """The smallest thrust of any rotor up to this sample [N]; the contract's ``window`` is not read."""
     return reduce(jnp.minimum, instant.plant.rotor, acc)
 
 

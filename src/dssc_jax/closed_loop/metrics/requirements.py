@@ -23,8 +23,8 @@ class Requirement:
         measure: The measure.
         maximum: Upper bound in the metric's unit.
         minimum: Lower bound in the metric's unit; 0 for the robustness of a formula.
-        typical_slack: Typical distance of draws from the bound in the metric's unit, a scale if the bound is 0; None:
-            unknown.
+        typical_slack: Typical distance of draws from the bound in the metric's unit, which scales slacks if the bound
+            is 0; None: unknown.
         formula: Text of the formula; empty for other requirements.
         written: The bound as the study file states it, with a unit; empty if the study states a plain number.
     """
@@ -40,7 +40,7 @@ class Requirement:
     def label(self) -> str:
         """Name among the study's requirements: the measure's name, with ``_min`` for a lower bound on a metric.
 
-        So a metric may have both an upper and a lower bound. A formula has one bound only, and keeps its name.
+        The ending lets a metric have both an upper and a lower bound. A formula has one bound only, and keeps its name.
         """
         is_lower_bound = self.maximum is None and not self.formula
         return f"{self.measure.name}_min" if is_lower_bound else self.measure.name
@@ -59,7 +59,7 @@ class Requirement:
     def violation_is_final(self) -> bool:
         """Whether a violated bound stays violated, so that each sample is checked for the first violation.
 
-        It does if the metric only rises and has a maximum, or only falls and has a minimum.
+        A violation is final if the metric can only rise and has a maximum, or can only fall and has a minimum.
         """
         towards_bound = Course.RISES if self.maximum is not None else Course.FALLS
         return self.measure.metric.course == towards_bound
@@ -71,9 +71,9 @@ class Requirement:
 
     @property
     def scale(self) -> float:
-        """Size by which a slack is divided, so that the slacks of different requirements compare: usually |bound|.
+        """Size by which a slack is divided, to make the slacks of different requirements comparable: usually |bound|.
 
-        A bound of 0 has no size; the typical slack then takes its place, or 1 if there is none.
+        A bound of 0 gives no size. The typical slack then takes its place, or 1 if the typical slack is unknown.
         """
         return abs(self.bound) or self.typical_slack or 1.0
 
@@ -104,7 +104,7 @@ class Requirement:
     def slack(self, value: Scalar) -> Scalar:
         """Signed distance of a value from the bound, in the metric's unit: negative if the requirement is violated.
 
-        The margin of a loop without an operating point is NaN. It counts as the margin at the limit of stability.
+        For a loop without an operating point, the margin is NaN and counts as the margin at the limit of stability.
         """
         margin = self.measure.metric.margin
         if margin is not None:
@@ -133,17 +133,30 @@ def with_typical_slacks(
 
 
 def counted_places(requirements: Sequence[Requirement], label: str) -> list[int]:
-    """Find the indices of the requirements that count as failures: those with a label, or all if the label is empty."""
+    """Find the indices of the requirements that count as failures.
+
+    Args:
+        requirements: The requirements.
+        label: Label of the requirements that count; empty: all count.
+    """
     return [index for index, requirement in enumerate(requirements) if label in ("", requirement.label)]
 
 
 def violated(slack: Any) -> Any:
-    """Whether a requirement with this slack, a traced number or an array, is violated; NaN counts as violated."""
+    """Whether a requirement with this slack is violated; NaN counts as violated.
+
+    Args:
+        slack: The slack, a traced number or an array.
+    """
     return ~(slack >= 0.0)  # not slack < 0, which is False for NaN
 
 
 def ended_early(outcome: Any) -> Any:
-    """Whether a draw with this outcome code ended early, and so violates every requirement; arrays of any shape."""
+    """Whether a draw with this outcome code ended early, and so violates every requirement.
+
+    Args:
+        outcome: One code, or an array of codes of any shape.
+    """
     return (outcome != Outcome.OK) & (outcome < Outcome.REQUIREMENT)
 
 
@@ -156,19 +169,21 @@ def watch(
     steps: int,
     sample_time: float,
 ) -> tuple[Scalar, ...]:
-    """Note, after a sample, which requirements whose violation is final are violated for the first time.
+    """Note, after a sample, which requirements with a final violation are violated for the first time.
+
+    A violation is final if the requirement can never be met again. Other requirements are not watched.
 
     Args:
-        requirements: The requirements.
+        requirements: All requirements.
         measures: All measures.
-        accumulators: Their accumulators after the sample.
-        violations: The result after the previous sample; 0 for each of these requirements at first.
+        accumulators: Accumulator of each measure after the sample.
+        violations: The result after the previous sample; 0 for each watched requirement before the first sample.
         samples: Number of samples so far.
         steps: Number of samples of the run.
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
 
     Returns:
-        For each of these requirements, the number of samples after which it was first violated; 0: not yet.
+        For each watched requirement, the number of samples after which it was first violated; 0: not yet.
     """
     accumulator_of = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
     updated_violations = []
@@ -190,18 +205,21 @@ def certain_violations(
     steps: Scalar,
     sample_time: float,
 ) -> dict[str, Scalar]:
-    """Count the samples after which the violation of each requirement was certain, by label, if it is violated.
+    """Count the samples after which the violation of each requirement, if it is violated, was certain.
 
-    A violation that is final is certain at once. A formula tells the sample itself. The violation of any other
+    A final violation is certain as soon as it occurs. A formula tells the sample itself. The violation of any other
     requirement is certain at the end of its window.
 
     Args:
         requirements: The requirements.
         measures: All measures.
-        accumulators: Their accumulators at the end of the draw.
+        accumulators: Accumulator of each measure at the end of the draw.
         violations: Result of :func:`watch` at the end of the draw.
         steps: Number of samples of the draw.
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
+
+    Returns:
+        The number of samples by the requirement's label; it means nothing if the requirement is met.
     """
     accumulator_of = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
     final_violations = iter(violations)
@@ -242,7 +260,7 @@ def judge(
 
 
 def binding_requirement(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Find the requirement that each draw meets by the least or misses by the most, relative to its scale.
+    """Find the index of the requirement with the smallest slack, relative to its scale, in each draw.
 
     A slack of NaN counts as the smallest of all.
 

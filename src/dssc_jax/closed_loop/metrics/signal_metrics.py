@@ -1,4 +1,4 @@
-"""Metrics of any signal by its name, which is that of its column in a trajectory."""
+"""Metrics of any signal by the signal's name, which is the name of its column in a trajectory."""
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -40,7 +40,7 @@ class SampledSignal(NamedTuple):
     Args:
         unit: Unit.
         meaning: Meaning in words.
-        value: Reads its value from the signals at a sample.
+        value: Reads the signal from all signals at a sample.
         periodic: Whether the signal is an angle that jumps by a turn where it leaves (-pi, pi].
     """
 
@@ -165,9 +165,9 @@ def channel_signals(
 
     Args:
         index: Index of the channel.
-        fields: Names of the signals in the info of its controller.
-        units: Units and meanings of the channel.
-        reports: Unit and meaning of the signals that its controller declares.
+        fields: Names of the signals in the info of the channel's controller.
+        units: Units and meanings of the channel's output y and command u.
+        reports: Unit and meaning of the signals that the controller declares, by name.
 
     Raises:
         ConfigError: The controller reports a signal under the name of another one.
@@ -175,7 +175,13 @@ def channel_signals(
     signals: dict[str, SampledSignal] = {}
 
     def add(name: str, quantity: Quantity, value: SignalReader) -> None:
-        """Add a signal, with the channel's units and meanings in place of those of y and u."""
+        """Add a signal of the channel.
+
+        Args:
+            name: Name of the signal, without the channel's name.
+            quantity: Unit and meaning, with the symbols y and u, which the channel's own units and words replace.
+            value: Reads the signal.
+        """
         signals[name] = SampledSignal(units.of(quantity.unit), units.describe(quantity.meaning), value)
 
     add("y", Quantity("y", "output y"), output_reader(index))
@@ -194,11 +200,11 @@ def require_free(part: str, name: str, names: Collection[str]) -> None:
 
     Args:
         part: The part, ``controller`` or ``plant``, for the message.
-        name: Name of its signal.
+        name: Name of the reported signal.
         names: Names of the other signals.
 
     Raises:
-        ConfigError: The name is among them.
+        ConfigError: The name is among those of the other signals.
     """
     if name in names:
         raise ConfigError(part, f"reports '{name}', which is another signal of the loop; give it a name of its own")
@@ -209,11 +215,12 @@ def variation_update(signal: SignalReader, periodic: bool = False) -> Update:
 
     Args:
         signal: Reads the signal.
-        periodic: Whether it is an angle that jumps by a turn where it leaves (-pi, pi]; its change is the shorter way.
+        periodic: Whether the signal is an angle that jumps by a turn where it leaves (-pi, pi]. A change of the angle
+            then counts along the shorter way.
     """
 
     def update(acc: Variation, instant: Instant, window: Window) -> Variation:
-        """The variation after one more sample."""
+        """The variation after one more sample; the first sample changes nothing."""
         value = signal(instant)
         change = wrap_angle(value - acc.last) if periodic else value - acc.last
         size = jnp.where(acc.begun > 0.0, jnp.abs(change), 0.0)
@@ -223,7 +230,10 @@ def variation_update(signal: SignalReader, periodic: bool = False) -> Update:
 
 
 def total_variation(acc: Variation, window: Window, span: Span) -> Scalar:
-    """The sum of the sizes of all changes of a signal."""
+    """The sum of the sizes of all changes of a signal.
+
+    The accumulator holds it; the contract's ``window`` and ``span`` are not read.
+    """
     return acc.sum
 
 
@@ -250,8 +260,8 @@ def last_update(signal: SignalReader) -> Update:
 class SignalMetric(NamedTuple):
     """A kind of metric that applies to any signal, such as its rms.
 
-    The fields are those of a :class:`~dssc_jax.closed_loop.metrics.streaming.Metric`, but for the dependence on the
-    signal.
+    The fields are those of a :class:`~dssc_jax.closed_loop.metrics.streaming.Metric`, but ``update`` and
+    ``periodic_update`` are functions that make the update for a given signal.
 
     Args:
         meaning: Words before the meaning of the signal.
@@ -259,8 +269,9 @@ class SignalMetric(NamedTuple):
         value: Computes the metric from the accumulator at the end.
         start: The accumulator before the first sample.
         course: Whether the value can only rise, only fall, or do both as samples are added.
-        least: The least value that is possible.
-        periodic_update: As ``update``, for an angle that jumps by a turn; None: ``update`` serves for it, too.
+        least: The least possible value.
+        periodic_update: As ``update``, for an angle that jumps by a whole turn; None: ``update`` serves for angles,
+            too.
     """
 
     meaning: str
@@ -293,7 +304,12 @@ SIGNAL_METRICS: dict[str, SignalMetric] = {
 
 
 def signal_metric(kind: str, signal: SampledSignal) -> Metric:
-    """The metric of one kind, a key of :data:`SIGNAL_METRICS` such as ``rms``, of a signal."""
+    """The metric of one kind for one signal.
+
+    Args:
+        kind: A key of :data:`SIGNAL_METRICS`, such as ``rms``.
+        signal: The signal, with its unit and meaning.
+    """
     form = SIGNAL_METRICS[kind]
     make_update = form.update
     if signal.periodic and form.periodic_update is not None:

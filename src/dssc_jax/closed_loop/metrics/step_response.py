@@ -65,7 +65,11 @@ class StepSize(NamedTuple):
         return jnp.where(size == 0.0, 0.0, travelled / jnp.where(size == 0.0, 1.0, size))
 
     def result(self, value: Scalar) -> Scalar:
-        """The value of a metric of this step; NaN if there was no step, or if the desired output moved after it."""
+        """The value of a metric of this step; NaN if there was no step, or if the desired output moved after it.
+
+        Args:
+            value: The metric, computed as if the step were valid.
+        """
         size = jnp.abs(self.goal - self.start)
         is_step = (size > 0.0) & (self.moved <= STILL * size)
         return jnp.where(is_step, value, jnp.nan)
@@ -75,13 +79,13 @@ NOT_YET = -1.0  # time of an event that has not happened
 
 
 class Rise(NamedTuple):
-    """The rise of a step response.
+    """The rise of a step response; times are counted in samples from the window's first sample.
 
     Args:
         step: The step.
-        previous: Progress at the last sample.
-        low: Time at which the progress first passed 10 %, in samples, or :data:`NOT_YET`.
-        high: Time at which it first passed 90 %, in samples, or :data:`NOT_YET`.
+        previous: Progress at the previous sample, as a share of the step.
+        low: Time at which the progress first passed 10 %; :data:`NOT_YET`: it has not.
+        high: Time at which the progress first passed 90 %; :data:`NOT_YET`: it has not.
     """
 
     step: StepSize = StepSize()
@@ -91,13 +95,21 @@ class Rise(NamedTuple):
 
 
 def update_rise(acc: Rise, sample: Sample, window: Window) -> Rise:
-    """Note the times at which the progress first passes 10 % and 90 %, interpolated between two samples."""
+    """Note the times at which the progress first passes 10 % and 90 %, interpolated between two samples.
+
+    The contract's ``window`` is not read.
+    """
     step = acc.step.next(sample)
     p = step.progress(sample)
     gain = p - acc.previous
 
     def passing_time(passed_at: Scalar, level: float) -> Scalar:
-        """Time at which the progress first passed a level, in samples; ``passed_at`` if it had passed before."""
+        """Time at which the progress first passed a level [samples since the step].
+
+        Args:
+            passed_at: The time noted so far; negative: the level has not been passed yet. A noted time stays.
+            level: The level, as a share of the step.
+        """
         passes = (passed_at < 0.0) & (p >= level)
         share = (level - acc.previous) / jnp.where(gain > 0.0, gain, 1.0)
         return jnp.where(passes, jnp.maximum(acc.step.samples - 1.0 + share, 0.0), passed_at)
@@ -106,7 +118,10 @@ def update_rise(acc: Rise, sample: Sample, window: Window) -> Rise:
 
 
 def rise_time(acc: Rise, window: Window, span: Span) -> Scalar:
-    """Time from 10 % to 90 % of the step [s]; infinite if the output does not reach 90 %."""
+    """Time from 10 % to 90 % of the step [s]; infinite if the output does not reach 90 %.
+
+    The contract's ``window`` is not read.
+    """
     time = (acc.high - acc.low) * span.sample_time
     return acc.step.result(jnp.where(acc.high < 0.0, jnp.inf, time))
 
@@ -124,13 +139,19 @@ class StepPeak(NamedTuple):
 
 
 def update_peak(acc: StepPeak, sample: Sample, window: Window) -> StepPeak:
-    """Keep the larger of the largest progress so far and the progress at this sample."""
+    """Keep the larger of the largest progress so far and the progress at this sample.
+
+    The contract's ``window`` is not read.
+    """
     step = acc.step.next(sample)
     return StepPeak(step, jnp.maximum(acc.largest, step.progress(sample)))
 
 
 def overshoot(acc: StepPeak, window: Window, span: Span) -> Scalar:
-    """Overshoot of the step response, relative to the step [%]: the excess of the largest progress over 1."""
+    """Overshoot of the step response [% of the step]: the excess of the largest progress over 1.
+
+    The accumulator holds this progress; the contract's ``window`` and ``span`` are not read.
+    """
     return acc.step.result(100.0 * jnp.maximum(acc.largest - 1.0, 0.0))
 
 
@@ -139,7 +160,7 @@ class StepSettling(NamedTuple):
 
     Args:
         step: The step.
-        last_sample: Number of samples up to and with the last one outside the band around the goal.
+        last_sample: Number of samples up to and including the last one outside the band around the goal.
     """
 
     step: StepSize = StepSize()
@@ -147,7 +168,10 @@ class StepSettling(NamedTuple):
 
 
 def update_settling(acc: StepSettling, sample: Sample, window: Window) -> StepSettling:
-    """Note a sample whose progress differs from 1 by more than the window's percentage."""
+    """Note the sample if its progress differs from 1 by more than the window's percentage.
+
+    The last such sample stays in the accumulator.
+    """
     step = acc.step.next(sample)
     band = 0.01 * window.percent  # share of the step
     is_outside = jnp.abs(step.progress(sample) - 1.0) > band
@@ -155,7 +179,10 @@ def update_settling(acc: StepSettling, sample: Sample, window: Window) -> StepSe
 
 
 def step_settling_time(acc: StepSettling, window: Window, span: Span) -> Scalar:
-    """Time from the window's start after which all samples lie in the band [s]; infinite if the last one does not."""
+    """Time from the window's start after which all samples lie in the band [s]; infinite if the last one does not.
+
+    The contract's ``window`` is not read.
+    """
     time = acc.last_sample * span.sample_time
     return acc.step.result(jnp.where(acc.last_sample >= span.sample_count, jnp.inf, time))
 
@@ -183,7 +210,7 @@ class Following(NamedTuple):
 
 
 def update_following(acc: Following, sample: Sample, window: Window) -> Following:
-    """Add a sample to every sum."""
+    """Add one sample to every sum: its output y, reference r and derivative r', and their products."""
     r = sample.reference.y
     d = sample.reference.y_dot  # r'
     y = sample.e + r
@@ -194,8 +221,12 @@ def update_following(acc: Following, sample: Sample, window: Window) -> Followin
 def phase_components(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
     """Amplitudes of two parts of the output y, relative to the amplitude of a sine reference r.
 
-    The first part is in phase with r, the second is 90 degrees ahead. They are the regression coefficients of y on r
-    and on r'/omega, where the angular frequency follows from omega^2 = var r'/var r. Both are NaN if r does not move.
+    The first part is in phase with r, and the second leads r by 90 degrees. They are the regression coefficients of y
+    on r and on r'/omega, with the angular frequency omega^2 = var r'/var r. Both are NaN if r does not move.
+
+    Args:
+        acc: Sums over the window's samples.
+        span: The window's length in samples.
     """
     n = span.sample_count
     rr = acc.rr - acc.r * acc.r / n  # n var r
@@ -207,13 +238,19 @@ def phase_components(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
 
 
 def following_gain(acc: Following, window: Window, span: Span) -> Scalar:
-    """Amplitude of the output over the amplitude of a sine reference."""
+    """Amplitude of the output over the amplitude of a sine reference, from the two parts of :func:`phase_components`.
+
+    The contract's ``window`` is not read.
+    """
     in_phase_gain, quadrature_gain = phase_components(acc, span)
     return root_abs(in_phase_gain * in_phase_gain + quadrature_gain * quadrature_gain)
 
 
 def following_lag(acc: Following, window: Window, span: Span) -> Scalar:
-    """Phase by which the output lags a sine reference, in (-pi, pi] [rad]."""
+    """Phase by which the output lags a sine reference, in (-pi, pi] [rad].
+
+    The contract's ``window`` is not read.
+    """
     in_phase_gain, quadrature_gain = phase_components(acc, span)
     return atan2(-quadrature_gain, in_phase_gain)
 
@@ -244,9 +281,14 @@ STEP_RESPONSE: dict[str, Metric] = {
 
 
 def line_at(points: Points, t: Scalar, default: float) -> Scalar:
-    """The value of a bound at t [s]: straight between its points, and ``default`` before the first and after the last.
+    """The value of a bound at t [s]: linear between its points, and ``default`` before and after all of them.
 
-    Where the bound jumps, the later value counts. A time within the rounding of k T_s of a point counts as that point.
+    Where the bound jumps, the later value counts. A time k T_s that rounding moves past a point counts as that point.
+
+    Args:
+        points: Pairs of time [s] and value, in ascending order of time; two points at one time are a jump.
+        t: Time [s].
+        default: Value outside the points, such as the infinity that bounds nothing.
     """
     rounding = 4.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
     value: Scalar = default
@@ -261,7 +303,7 @@ def line_at(points: Points, t: Scalar, default: float) -> Scalar:
 def envelope_metric(
     signal: Callable[[Sample], Scalar], unit: str, meaning: str, lower: Points, upper: Points
 ) -> Metric:
-    """The metric that is a signal's smallest distance from bounds that change over time, negative if it crosses one.
+    """The smallest distance of a signal from bounds that change over time, as a metric; negative if a bound is crossed.
 
     Args:
         signal: Value of the signal at a sample.
@@ -272,7 +314,7 @@ def envelope_metric(
     """
 
     def update(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-        """The smallest distance up to this sample."""
+        """The smallest distance up to this sample; a bound without points is infinitely far."""
         t = sample.k * sample.dt
         value = signal(sample)
         above_lower = value - line_at(lower, t, -math.inf) if lower else math.inf
@@ -284,7 +326,14 @@ def envelope_metric(
 
 
 def crossing(lower: Points, upper: Points) -> float | None:
-    """The first time among the points at which a lower bound exceeds the upper bound [s]; None if it never does."""
+    """The first time among the points at which a lower bound exceeds the upper bound [s]; None if there is none.
+
+    Both bounds are linear between their points, so a crossing shows at one of the points.
+
+    Args:
+        lower: Points of the lower bound.
+        upper: Points of the upper bound.
+    """
     times = {t for t, _ in (*lower, *upper)}
     with arithmetic():
         for t in sorted(times):

@@ -66,14 +66,14 @@ class Metric(NamedTuple):
         needs: Fields that the info of the controller, or of the vehicle, must have.
         scope: One channel, or the vehicle as a whole.
         start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
-        counted: Whether the value counts samples, as a time or a share; rounding then changes it by whole samples.
+        counted: Whether the value counts samples, as a time or a share does; rounding then changes it by whole samples.
         course: Whether the value can only rise, only fall, or do both as samples are added.
         certain_after: ``accumulator -> number of samples after which the sign of the final value was certain``.
         margin: The margin of the linearised loop whose value is the accumulator; None: a metric of the flight.
-        least: The least value that is possible, such as 0 for a size.
-        defined_if: Condition for a value other than NaN, in words; empty: none.
-        settled_within: ``window -> bound`` on |e| below which a draw must have settled, so that its value at its early
-            end is also the value of the whole run. NaN: the bound differs between draws. None: no bound is needed.
+        least: The least possible value, such as 0 for a size.
+        defined_if: Condition, in words, under which the value is not NaN; empty: there is no condition.
+        settled_within: ``window -> bound`` on |e|. A draw that has settled below the bound and ends early has the value
+            of the whole run. NaN: the bound differs between draws. None: no bound is needed.
     """
 
     unit: str
@@ -96,7 +96,7 @@ class Metric(NamedTuple):
         """The value that replaces NaN: the limit of stability for a margin, else the infinity on the bad side.
 
         Large values are good for the robustness of a formula, and for a metric that can only fall, such as a smallest
-        distance. For all others small values are good.
+        distance. For all other metrics small values are good.
         """
         if self.margin is not None:
             return self.margin.kind.worst
@@ -118,9 +118,10 @@ def sum_update(signal: SignalReader) -> Update:
 
 
 def update_variation(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-    """Add |u_k - u_(k-1)|, where u is the robust command at this sample and at the one before.
+    """Add |u_k - u_(k-1)|, where u is the robust command at this sample and at the previous one.
 
-    The window's first sample adds nothing. At sample 0 the change is 0 already, so a window from there needs no test.
+    The window's first sample adds nothing. At sample 0 the loop already sets u_(k-1) = u_k, so a window from sample 0
+    needs no test.
     """
     first = first_sample(window.after, sample.dt)
     change = jnp.abs(sample.u - sample.u_previous)
@@ -128,24 +129,24 @@ def update_variation(acc: Scalar, sample: Sample, window: Window) -> Scalar:
 
 
 def final_value(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """The accumulator itself, the value of a metric that keeps a maximum or a sum."""
+    """The accumulator itself, for a metric that keeps a maximum or a sum; ``window`` and ``span`` are not read."""
     return acc
 
 
 def mean(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """The mean over the window's samples, from their accumulated sum."""
+    """The mean over the window's samples, from their accumulated sum; the contract's ``window`` is not read."""
     return acc / span.sample_count
 
 
 def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """The rms over the window's samples, from their accumulated sum of squares."""
+    """The rms over the window's samples, from their accumulated sum of squares; ``window`` is not read."""
     return root_abs(acc / span.sample_count)
 
 
 def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-    """Number of samples up to and with the last one whose error is outside the band, |e| > ``window.band``.
+    """Number of samples up to and including the last one whose error is outside the band, |e| > ``window.band``.
 
-    It is a real number, exact in float32 up to 16 million samples.
+    The number is real, and exact in float32 up to 16 million samples.
     """
     samples = jnp.asarray(sample.k + 1, jnp.result_type(float))
     return jnp.where(jnp.abs(sample.e) > window.band, samples, acc)
@@ -154,12 +155,12 @@ def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
 def settling_time(acc: Scalar, window: Window, span: Span) -> Scalar:
     """Time from the window's start to the end of the last sample outside the band [s].
 
-    It is infinite if the window's last sample is outside, too.
+    The time is infinite if the window's last sample is outside, too.
 
     Args:
         acc: Result of :func:`last_outside` at the end of the flight.
         window: The window.
-        span: Its length in samples.
+        span: The window's length in samples.
     """
     time = jnp.maximum(acc * span.sample_time - window.after, 0.0)
     return jnp.where(acc >= span.steps, jnp.inf, time)
@@ -168,8 +169,8 @@ def settling_time(acc: Scalar, window: Window, span: Span) -> Scalar:
 def sampling_ratio(sample: Sample) -> Scalar:
     """Gain of the sampled loop over its stability limit: (k_p T_s/(k_o tau_av)) (1 + T_s/(2 tau_m))/2.
 
-    Above 1 the sampled loop chatters or diverges. The limit is exact for the plant sigma' = k_p u if the controller's
-    functions k_o, tau_av and tau_m are constant; otherwise they enter with their values at the sample.
+    Above 1 the sampled loop chatters or diverges. The limit is exact for the plant sigma' = k_p u with constant
+    functions k_o, tau_av and tau_m of the controller. If these functions vary, their values at the sample count.
     """
     info = sample.info  # integral_gain: 1/(k_o tau_av tau_m)
     dt = sample.dt
@@ -183,7 +184,12 @@ def position_error(instant: Instant) -> Scalar:
 
 
 def as_float(flag: Scalar, like: Scalar) -> Scalar:
-    """1 if the flag holds, else 0, in the type of the number ``like``."""
+    """The number 1 if the flag holds, else 0.
+
+    Args:
+        flag: A boolean.
+        like: A number whose type the result gets; its value does not matter.
+    """
     return jnp.where(flag, jnp.ones_like(like), jnp.zeros_like(like))
 
 
@@ -234,11 +240,11 @@ def largest_absolute(
 def share_of_time(
     meaning: str, indicator: SignalReader, needs: tuple[str, ...], scope: Scope = Scope.CHANNEL
 ) -> Metric:
-    """The metric that is the share of the window's samples at which an indicator is 1 and not 0.
+    """The metric that is the share of the window's samples at which an indicator is 1.
 
     Args:
         meaning: Words after "share of time".
-        indicator: Reads the indicator at a sample.
+        indicator: Reads the indicator, 1 or 0, at a sample.
         needs: As in :class:`Metric`.
         scope: As in :class:`Metric`.
     """
@@ -247,7 +253,7 @@ def share_of_time(
 
 
 def outside_sliding(sample: Sample) -> Scalar:
-    """1 if the predictor does not slide, so that its output sigma_hat does not follow sigma exactly; else 0."""
+    """The number 1 if the predictor does not slide, so that its output sigma_hat leaves sigma; else 0."""
     return as_float(sample.info.sliding_margin < 0.0, sample.e)
 
 
@@ -343,7 +349,7 @@ class Measure:
 
     @property
     def window_text(self) -> str:
-        """The window in words, such as `` after 2 s``; empty if no value of it needs mention."""
+        """The window in words, such as `` after 2 s``; empty if all values of the window are the usual ones."""
         return self.window.words(self.default_window, self.units.output)
 
     @property
@@ -372,5 +378,5 @@ class Measure:
 
 
 def suffixed(kind: str, channel: str) -> str:
-    """A metric's name with its channel's name, such as ``error_max_x``; without it if that is empty."""
+    """A metric's name with its channel's name, such as ``error_max_x``; without a channel, the metric's name alone."""
     return f"{kind}_{channel}" if channel else kind

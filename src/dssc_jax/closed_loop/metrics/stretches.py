@@ -28,7 +28,7 @@ def stretch_update(flag: Callable[[S], Scalar]) -> Callable[[Stretch, S, Window]
     """Return the ``update`` of a metric that finds the longest stretch of samples at which a flag (1 or 0) holds."""
 
     def update(acc: Stretch, sample: S, window: Window) -> Stretch:
-        """The stretches after one more sample."""
+        """The stretches after one more sample, which lengthens the present stretch if its flag is 1, or ends it."""
         lasting = (acc.lasting + 1.0) * flag(sample)
         return Stretch(lasting, jnp.maximum(acc.longest, lasting))
 
@@ -36,5 +36,5 @@ def stretch_update(flag: Callable[[S], Scalar]) -> Callable[[Stretch, S, Window]
 
 
 def longest_duration(acc: Stretch, window: Window, span: Span) -> Scalar:
-    """Duration of the longest stretch [s]."""
+    """Duration of the longest stretch [s]; the contract's ``window`` is not read."""
     return acc.longest * span.sample_time

@@ -38,17 +38,20 @@ class WindowEntry(NamedTuple):
 
 
 def entry_field(default: float, entry: WindowEntry) -> Any:
-    """A dataclass field of a window, with its default and its entry in a study."""
+    """A dataclass field of a window, from its default value and the entry that sets it in a study."""
     return field(default=default, metadata={"entry": entry})
 
 
 @dataclass(frozen=True)
 class Window:
-    """The samples that a metric counts, and its thresholds.
+    """The samples that a metric counts, and the thresholds of metrics.
 
-    They are the samples at ``after`` <= t <= ``until`` [s]. The error counts as settled within ``band`` in the output's
-    unit, or within ``percent`` [%] of a step. The command chatters above the frequency ``chattering`` [Hz]; 0 stands
-    for 1/(20 T_s).
+    Args:
+        after: Start of the window [s]; samples at t >= ``after`` count.
+        band: The error counts as settled if |e| is at most this, in the output's unit.
+        percent: A step response counts as settled within this share of the step [%].
+        until: End of the window [s]; samples at t <= ``until`` count.
+        chattering: The command chatters above this frequency [Hz]; 0 stands for 1/(20 T_s).
     """
 
     after: float = entry_field(
@@ -127,9 +130,13 @@ class Window:
         return written
 
     def suffix(self, default_window: "Window") -> str:
-        """The end of a measure's name that tells its window, such as ``_after_2``.
+        """The end of a measure's name that identifies its window, such as ``_after_2``.
 
-        It is empty for the study's default window. Any other window shows its start and each value that differs.
+        The end is empty for the study's default window. For any other window, the end has the window's start, and each
+        other value that differs from the default.
+
+        Args:
+            default_window: The study's default window.
         """
         if self == default_window:
             return ""
@@ -166,7 +173,7 @@ def window_entries() -> dict[str, WindowEntry]:
 
 
 def window_defaults() -> dict[str, float]:
-    """The values of a window that hold where a study leaves them out, by their names in the study file."""
+    """The values of a window that hold if a study leaves them out, by their names in the study file."""
     return WHOLE_RUN.entries()
 
 
@@ -176,7 +183,7 @@ class Span(NamedTuple):
     Args:
         steps: Number of samples up to the end of the window.
         sample_count: Number of samples in the window.
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
     """
 
     steps: Scalar
@@ -187,7 +194,7 @@ class Span(NamedTuple):
 def periods_lasting(duration: float, sample_time: float) -> int:
     """The least number of sample periods that together last at least a duration [s].
 
-    A duration of k T_s that rounding has made slightly longer still gives k.
+    If rounding has made a duration of k T_s slightly longer, the number is still k.
     """
     return math.ceil(duration / sample_time - ROUNDING)
 
@@ -205,6 +212,11 @@ def samples_before_end(window: Window, sample_time: float, steps: Scalar) -> Sca
     """Number of samples up to the end of a window, at t <= until, in a run of ``steps`` samples.
 
     A sample at k T_s counts even if rounding has made its time slightly later than the end.
+
+    Args:
+        window: The window, which ends at ``window.until`` [s].
+        sample_time: Sample time T_s [s].
+        steps: Number of samples of the run, which may be traced.
     """
     if math.isinf(window.until):
         return steps
@@ -213,13 +225,25 @@ def samples_before_end(window: Window, sample_time: float, steps: Scalar) -> Sca
 
 
 def span_of(window: Window, steps: Scalar, sample_time: float) -> Span:
-    """The length of a window in samples, in a run of ``steps`` samples."""
+    """The length of a window in samples, in a run of ``steps`` samples.
+
+    Args:
+        window: The window.
+        steps: Number of samples of the run, which may be traced.
+        sample_time: Sample time T_s [s].
+    """
     end = samples_before_end(window, sample_time, steps)
     return Span(end, end - first_sample(window.after, sample_time), sample_time)
 
 
 def in_window(window: Window, k: Scalar, sample_time: float) -> Scalar | None:
-    """Whether sample k lies in the window; None if all samples do, so that the program needs no test."""
+    """Whether sample k lies in the window; None if all samples do, so that the compiled program needs no test.
+
+    Args:
+        window: The window.
+        k: Index of the sample, which is within the run.
+        sample_time: Sample time T_s [s].
+    """
     start = first_sample(window.after, sample_time)
     if math.isinf(window.until):
         return None if start == 0 else k >= start

@@ -1,1 +1,1 @@
-"""The loop linearised part by part: where a part has a slope, and what stands for it where it has none."""
+"""The loop linearised part by part: where a part has a slope, and which substitute replaces a part without one."""

@@ -45,14 +45,14 @@ def at_origin(study: Study) -> Study:
 
 
 class Resting(NamedTuple):
-    """Equilibria of the undisturbed loop of n draws, and the linearised loops there.
+    """Equilibria of the undisturbed loop of n draws, and the loops linearised at them.
 
     Args:
         states: The states at the end of the search, shape (n, states).
-        matrices: Matrices of the loops there, without substitutes for corners.
-        is_settled: Which draws are at rest in these states, shape (n,).
-        relevant_states: States on which the loop's signals depend, either there or with all parts within their
-            boundaries, shape (n, states); the others need not be at rest.
+        matrices: Matrices of the loops linearised at these states, without substitutes for corners.
+        is_settled: Whether each draw is at rest in its state, shape (n,).
+        relevant_states: States on which the loop's signals depend, either at the end of the search or with all parts
+            within their boundaries, shape (n, states). The other states need not be at rest.
     """
 
     states: np.ndarray
@@ -64,12 +64,13 @@ class Resting(NamedTuple):
 def better_equilibria(earlier: Resting, later: Resting) -> Resting:
     """The better equilibrium of each draw, out of two searches.
 
-    It is the later one if the earlier search failed, or found an open loop where the later search found a closed loop.
+    The later search wins if the earlier one failed, or if the loop is open at the earlier equilibrium and closed at the
+    later one. A later search that failed never wins.
     """
     is_better = later.is_settled & (~earlier.is_settled | (earlier.matrices.is_open() & ~later.matrices.is_open()))
 
     def select(early: np.ndarray, late: np.ndarray) -> np.ndarray:
-        """The rows of ``late`` in draws where it is better, else the rows of ``early``, shape (n, ...)."""
+        """The rows of ``late`` in draws where the later search is better, else those of ``early``, shape (n, ...)."""
         row_is_better = is_better.reshape(-1, *[1] * (early.ndim - 1))
         return np.where(row_is_better, late, early)
 
@@ -81,7 +82,7 @@ class RestingLoop:
 
     Args:
         study: The study, without a sweep.
-        places: The parts of its loop.
+        places: The parts of the study's loop.
     """
 
     def __init__(self, study: Study, places: tuple[LoopPart, ...]) -> None:
@@ -93,13 +94,17 @@ class RestingLoop:
         self.final_states = LaneProgram(self._final_state)
 
     def _initial_state(self, numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array]:
-        """The state before the first sample as a vector; a program of a lane."""
+        """The state before the first sample as a vector: the program of one lane, which takes no ``vectors``."""
         loop, params = loop_to_linearise(self.study, numbers, self.places, is_resting=True)
         state, _ = ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))
         return (state,)
 
     def _final_state(self, numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array]:
-        """The state after a flight of the study's duration at the constant reference; a program of a lane."""
+        """The state after a flight of the study's duration at the constant reference, as the program of one lane.
+
+        The flight starts at ``vectors["state"]``. Every sample is computed as the same later sample, because
+        controllers may treat the first sample unlike all others.
+        """
         loop, params = loop_to_linearise(self.study, numbers, self.places, is_resting=True)
         sample = sample_map(loop, params, draw_key(self.study.config.seed, index), jnp.asarray(LATER_SAMPLE))
         no_additions = jnp.zeros(len(place_names(loop.channels)))
@@ -125,8 +130,13 @@ class RestingLoop:
     def inner_dependence(self, values: Arrays, indices: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Which states the loop's signals depend on if every part is within its boundaries, shape (n, states).
 
-        These must rest, too. Beyond a limit no signal depends on the states that drive the limited part, so that a
-        moving integrator would pass for an equilibrium.
+        An equilibrium requires that these states are at rest, too. Beyond a limit no signal depends on the states that
+        drive the limited part, so that a loop with a moving integrator would pass for one at rest.
+
+        Args:
+            values: Values of the uncertain numbers, shape (n,) each.
+            indices: Draw indices, shape (n,).
+            states: Operating points, shape (n, states).
         """
         if not any(place.has_inner_side for place in self.places):
             return np.zeros(states.shape, bool)
@@ -134,22 +144,26 @@ class RestingLoop:
         return closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
 
     def smooth(self, count: int) -> np.ndarray:
-        """A finding for each part of ``count`` draws that takes it as it is, shape (count, parts)."""
+        """The finding "smooth" for every part of ``count`` draws, without any substitute, shape (count, parts)."""
         return np.full((count, len(self.places)), Finding.SMOOTH.value)
 
     def within_boundaries(self, count: int) -> np.ndarray:
-        """A finding for each part of ``count`` draws that takes its inner substitute, shape (count, parts)."""
+        """The finding "at a corner" for every part of ``count`` draws, shape (count, parts).
+
+        With this finding, each part with an inner side is replaced by its substitute for it.
+        """
         return np.full((count, len(self.places)), Finding.CORNER.value)
 
     def settle(self, values: Arrays, indices: np.ndarray) -> Resting:
         """Find the equilibrium of each of n draws by Newton's method, from the states after the first sample.
 
-        A first command at a limit does not depend on the states. Then Newton's method fails, or finds where the plant
-        rests at that command. Such draws start again from the equilibrium of the loop without limits. Draws that still
-        fail start from the end of a simulation at the constant reference, where a stable loop has left the limit.
+        If the first command is at a limit, it does not depend on the states. Newton's method then fails, or finds where
+        the plant rests at that command. Such draws start again from the equilibrium of the loop without limits. Draws
+        that still fail start from the end of a simulation at the constant reference, where a stable loop has left the
+        limit.
 
         Args:
-            values: LaneValues of the uncertain numbers, each of shape (n,).
+            values: Values of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
         """
         initial_states = self.start(values, indices)
@@ -168,8 +182,8 @@ class RestingLoop:
     def settled_from(self, states: np.ndarray, values: Arrays, indices: np.ndarray, findings: np.ndarray) -> Resting:
         """The equilibria that Newton's method finds from some states.
 
-        A step solves (1 - A) dx = x+ - x for the relevant states, where x+ is the state after a sample. The search also
-        ends in a draw whose move x+ - x steps no longer change: a command is at a limit.
+        A step solves (1 - A) dx = x+ - x for the relevant states, where x+ is the state after a sample. In a draw with
+        a command at a limit, steps may not change the move x+ - x any more. The search of such a draw also ends.
 
         Args:
             states: The states at which the search begins, shape (n, states).

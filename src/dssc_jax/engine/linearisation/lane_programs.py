@@ -35,7 +35,7 @@ class LaneProgram:
     """
 
     def __init__(self, lane: VectorLane) -> None:
-        """Keep the program; the first call tells the sizes of its vectors, and compiles it."""
+        """Keep the program; the first call determines the sizes of its vectors, and compiles it."""
         self.lane = lane
         self.start: Start | None = None
 
@@ -76,12 +76,12 @@ class LaneProgram:
 
 
 def entry_name(vector: str, index: int) -> str:
-    """The name under which a lane takes a vector's entry as a number; the blank tells it from names of a study."""
+    """The name of a vector's entry among the numbers of a lane; no name of a study contains the blank in it."""
     return f"{vector} {index}"
 
 
 def lane_of_numbers(lane: VectorLane, sizes: dict[str, int]) -> Callable[[LaneValues, jax.Array], tuple[Entries, ...]]:
-    """Return a program with vectors as a function of numbers only, among them the entries of its vectors.
+    """Return a program with vectors as a function of numbers only, which include the entries of the vectors.
 
     Args:
         lane: The program.
@@ -100,7 +100,10 @@ def lane_of_numbers(lane: VectorLane, sizes: dict[str, int]) -> Callable[[LaneVa
 
 
 def cpu_form() -> str:
-    """The form in which these lanes run: the requested one, or its counterpart on the CPU if that is for a GPU."""
+    """The form in which programs of the linearisation run, always on the CPU.
+
+    It is the requested form, or the CPU's counterpart of a form for a GPU.
+    """
     counterparts = {Form.GPU.value: Form.LANES, Form.GPU_STRICT.value: Form.STRICT}
     requested_form = kernels.requested_form()
     return counterparts.get(requested_form, requested_form)

@@ -1,7 +1,7 @@
 """The margins of the linearised loop that a study requires, for every lane.
 
-Every lane is linearised at its equilibrium, and has a frequency grid of its own. So its margins depend only on its
-numbers, neither on its block nor on the number of draws.
+Every lane is linearised at its own equilibrium, with its own frequency grid. So the margins of a lane depend only on
+the lane's numbers, and neither on its block nor on the number of draws.
 """
 
 from dataclasses import dataclass, field
@@ -28,9 +28,9 @@ STEP = 1e-4  # step of a central difference, relative to the number
 
 
 class ClosedLoops(NamedTuple):
-    """n closed loops x+ = A x + b w, v = c x: w is added at one break point, and v is the signal before the sum.
+    """n closed loops x+ = A x + b w, v = c x, with w added at one break point, where v is the signal before the sum.
 
-    The states x are those by which the added signal comes back to the break point.
+    The states x are those through which the added signal returns to the break point.
 
     Args:
         a: A, shape (n, states, states).
@@ -45,12 +45,12 @@ class ClosedLoops(NamedTuple):
 
 @dataclass(frozen=True)
 class LoopOfStudy:
-    """The key of a study's compiled margins: two studies with equal tables and loops share them.
+    """The key of a study's compiled margins, which two studies share if their tables and loops are equal.
 
     Args:
         table: Hash of the study's table.
         loop: The models and the clock.
-        study: The study, which two keys need not share.
+        study: The study, which is not compared.
     """
 
     table: str
@@ -95,8 +95,8 @@ class MarginValues:
     def __call__(self, values: Arrays, indices: np.ndarray) -> Arrays:
         """Every required margin of each lane, by the name of its measure, shape (n,) each.
 
-        A lane with an unstable loop has the value at the limit of stability. A lane without an equilibrium has NaN, and
-        so has a lane that rests beyond a limit which opens the loop.
+        A lane with an unstable loop has the value at the limit of stability. A lane has NaN if it has no equilibrium,
+        or if it rests beyond a limit that opens the loop.
 
         Args:
             values: Values of all uncertain and swept numbers, shape (n,) each.
@@ -178,13 +178,13 @@ class MarginValues:
     ) -> Arrays:
         """The margins at one break point, by field of ``ClassicalMargins``, shape (n,) each.
 
-        Lanes are computed together if a signal comes back to the break point by the same states. An unstable loop has
-        the value at the limit of stability, and a lane without an equilibrium or with an open loop has NaN.
+        Lanes whose signals return to the break point through the same states are computed together. An unstable loop
+        has the margins at the limit of stability. A lane without an equilibrium or with an open loop has NaN.
 
         Args:
             matrices: Matrices of the lanes.
-            is_settled: Which lanes have an equilibrium, shape (n,).
-            is_beyond: Which lanes rest beyond the boundary of a part, shape (n,).
+            is_settled: Whether each lane has an equilibrium, shape (n,).
+            is_beyond: Whether each lane rests beyond the boundary of a part, shape (n,).
             point: Index of the break point.
             neutral: Value of each margin at the limit of stability.
         """

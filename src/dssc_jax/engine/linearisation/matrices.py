@@ -10,7 +10,7 @@ from dssc_jax.core.influences import closure
 class StateMatrices(NamedTuple):
     """The linearised loops x+ = A x + B w, v = C x of n draws, from one sample to the next.
 
-    w are the signals that are added at the break points, and v the signals there before they are added.
+    w are the signals that are added at the break points, and v are the signals at the break points before the addition.
 
     Args:
         next_states: The state after one sample from the operating point, shape (n, states).
@@ -27,7 +27,7 @@ class StateMatrices(NamedTuple):
     def returning(self, point: int) -> np.ndarray:
         """Which states carry a signal from a break point around the loop and back, in each draw, shape (n, states).
 
-        They are the states that the added signal reaches, and on which the signal before the sum depends.
+        Such a state is reached by the added signal, and the signal before the sum depends on it.
 
         Args:
             point: Index of the break point.
@@ -38,11 +38,11 @@ class StateMatrices(NamedTuple):
         return is_reached & is_observed
 
     def loop_states(self, point: int, draws: np.ndarray) -> np.ndarray:
-        """Indices of the states that carry a signal back to a break point in any of some draws.
+        """Indices of the states that carry a signal back to a break point in at least one of the chosen draws.
 
         Args:
             point: Index of the break point.
-            draws: Mask of the draws, shape (n,).
+            draws: Whether each draw is chosen, shape (n,).
         """
         return np.flatnonzero(np.any(self.returning(point)[draws], axis=0))
 
@@ -68,7 +68,9 @@ class Operating(NamedTuple):
     taken: tuple[str, ...]
 
     def closed(self, point: int) -> np.ndarray:
-        """Whether each draw has the operating point, and no limit opens its loop there, shape (draws,).
+        """Whether each draw reaches its operating point, and no limit opens its loop at a break point, shape (draws,).
+
+        A draw without parts beyond their boundary counts as closed even if no signal returns to the break point.
 
         Args:
             point: Index of the break point.

@@ -51,16 +51,16 @@ def lane_loop(study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> L
 def loop_to_linearise(
     study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], is_resting: bool
 ) -> LoopWithParams:
-    """The loop of one draw that is to be linearised, and its parameters; nothing is linearised here.
+    """The loop of one draw in the form that is linearised, and its parameters; the function itself linearises nothing.
 
     Parts that are smooth nowhere are replaced by the substitutes that they declare.
 
     Args:
         study: The study.
         values: The draw's numbers by name.
-        places: Where the loop has which parts, with their declarations of smoothness.
-        is_resting: Whether to hold the reference, and leave out disturbances, wind and sensor noise, so that the loop
-            can rest.
+        places: The parts of the loop, with their declarations of smoothness.
+        is_resting: Whether to hold the reference, and to leave out disturbances, wind and sensor noise, so that the
+            loop can rest.
     """
     loop = study.loop
     params = study.params(values)
@@ -72,22 +72,29 @@ def loop_to_linearise(
 class Linearisation:
     """The compiled linearisation of a study: a call gives the derivatives of one sample of many draws.
 
-    A lane is one draw and one direction: a state, or the signal added at a break point. One derivative per lane
+    A lane is one draw and one direction, which is a state or the signal added at a break point. One derivative per lane
     compiles and runs far faster than all derivatives in one lane.
 
     Args:
         study: The study.
-        places: The parts of its loop.
+        places: The parts of the study's loop.
         is_resting: Whether the loop is at rest, without disturbances.
     """
 
     def __init__(self, study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> None:
-        """Prepare the program; it is compiled when it first runs."""
+        """Prepare the program; it is compiled when it first runs. The arguments are those of the class."""
         self.places = places
         self.points = len(place_names(study.loop.channels))  # number of break points
 
         def derivative(numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array, ...]:
-            """The next state of a draw, and the derivatives of state and signals along one direction."""
+            """The next state of a draw, and the derivatives of state and signals along one direction.
+
+            Args:
+                numbers: Numbers of the draw by name.
+                vectors: The ``state``, the ``direction`` (its index), the index of the ``sample``, and the
+                    ``findings``.
+                index: Index of the draw.
+            """
             state = vectors["state"]
             order = len(state)
             direction = jnp.where(jnp.arange(order + self.points) == vectors["direction"], 1.0, 0.0)
@@ -105,10 +112,10 @@ class Linearisation:
     def __call__(
         self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
     ) -> StateMatrices:
-        """The linearised loops of n draws, each at a state of its own.
+        """The linearised loops of n draws, each at its own state.
 
         Args:
-            values: LaneValues of the uncertain numbers, each of shape (n,).
+            values: Values of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
             states: Operating points, shape (n, states).
             k: Index of the sample.
@@ -127,7 +134,15 @@ class Linearisation:
     def next_states(
         self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
     ) -> np.ndarray:
-        """The states of n draws after one sample, shape (n, states); arguments as for a call of the object."""
+        """The states of n draws after one sample, shape (n, states).
+
+        Args:
+            values: Values of the uncertain numbers, each of shape (n,).
+            indices: Draw indices, shape (n,).
+            states: States before the sample, shape (n, states).
+            k: Index of the sample.
+            findings: The :class:`Finding` of each part, shape (n, parts).
+        """
         draw = np.arange(len(states))
         any_direction = np.zeros_like(draw)  # its derivatives are not read
         next_states, *_ = self._derivatives(values, indices, states, k, findings, draw, any_direction)
@@ -138,9 +153,16 @@ class Linearisation:
     ) -> np.ndarray:
         """The findings, in which a part without a derivative counts as beyond its boundary if the loop is open.
 
-        In an open loop the part's derivative does not matter: where an actuator and its controller share a limit,
-        either of them opens the loop. To find such draws, the loop is linearised with the substitutes of these parts.
-        Arguments are as for a call of the object.
+        In an open loop such a part's derivative does not matter. An example is an actuator and its controller that
+        share a limit: either of them opens the loop. To find such draws, the loop is linearised with the substitutes of
+        these parts.
+
+        Args:
+            values: Values of the uncertain numbers, each of shape (n,).
+            indices: Draw indices, shape (n,).
+            states: Operating points, shape (n, states).
+            k: Index of the sample.
+            findings: The :class:`Finding` of each part, shape (n, parts).
 
         Returns:
             The :class:`Finding` of each part, shape (n, parts).
@@ -169,15 +191,15 @@ class Linearisation:
         draw: np.ndarray,
         direction: np.ndarray,
     ) -> list[np.ndarray]:
-        """For some lanes: the next state, and the derivatives of state and signals along one direction.
+        """For each of some lanes, the next state, and the derivatives of state and signals along one direction.
 
         Args:
-            values: LaneValues of the uncertain numbers, each of shape (n,).
+            values: Values of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
             states: Operating points, shape (n, states).
             k: Index of the sample.
             findings: The :class:`Finding` of each part, shape (n, parts).
-            draw: Row of these arrays for each lane, shape (lanes,).
+            draw: Row of the arrays above for each lane, shape (lanes,).
             direction: Direction of each lane's derivatives: index of a state, or number of states plus index of a break
                 point, shape (lanes,).
         """
@@ -192,13 +214,13 @@ class Linearisation:
 
 
 def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, point: str) -> tuple[str, ...]:
-    """Notes on the parts that lie at or beyond a corner, with the number of draws, for the reader of the results.
+    """Notes for the reader of the results on the parts that lie at or beyond a corner, with the number of draws.
 
-    At a corner the part's substitute stands for it.
+    At a corner the part's substitute takes its place.
 
     Args:
         study: The study.
-        places: The parts of its loop.
+        places: The parts of the study's loop.
         findings: The :class:`Finding` of each draw and part, shape (n, parts).
         point: Name of the operating point.
 

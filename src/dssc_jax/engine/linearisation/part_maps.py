@@ -1,6 +1,6 @@
 """Each part of a loop at one operating point, as a function of its state and inputs.
 
-So the derivative of a part can be compared with the effects of small pushes on its state and inputs.
+The function allows a comparison of the part's derivative with the effects of small pushes on state and inputs.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,12 +29,12 @@ from dssc_jax.engine.linearisation.smooth_parts import INPUTS, SIGNAL_SENSOR, Lo
 
 
 class PartMap(NamedTuple):
-    """A part as a function of its state and inputs, and their values at one operating point.
+    """A part as a function of its state and inputs, with their values at one operating point.
 
     Args:
         apply: ``(part, params, memory, signals) -> outputs``; the outputs include the part's next state.
         memory: State of the part, which may contain counters; () for the plant and for disturbances.
-        signals: Inputs of the part and, for the plant, its state.
+        signals: Inputs of the part; for the plant also its state.
     """
 
     apply: Callable[..., object]
@@ -47,7 +47,7 @@ class OperatingPoint(NamedTuple):
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         state: The loop's state before the sample.
         k: Index of the sample.
@@ -67,7 +67,7 @@ class OperatingPoint(NamedTuple):
 
     @property
     def time(self) -> Scalar:
-        """t = k T_s [s]."""
+        """The time t = k T_s of the sample [s]."""
         return self.k * self.loop.sample_time
 
     def stream(self, slot: str, name: str) -> jax.Array:
@@ -83,11 +83,11 @@ class OperatingPoint(NamedTuple):
 def part_maps(
     loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar, places: Sequence[LoopPart]
 ) -> list[PartMap]:
-    """Each part in ``places`` as a function of its state and inputs, and their values at sample k.
+    """Each part in ``places`` as a function of its state and inputs, with their values at sample k.
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         key: The draw's random key.
         state: The loop's state before the sample.
         k: Index of the sample.
@@ -105,7 +105,10 @@ def part_maps(
 
 
 def plant_map(at: OperatingPoint, _: int) -> PartMap:
-    """The plant: from its state and commands to the derivative, the measurements and the measured signals."""
+    """The plant: from its state and commands to its derivative, measurements and measured signals.
+
+    A plant belongs to no channel, so the contract's index is not read.
+    """
 
     def apply(
         part: Plant[Measurements, Signals], params: Params, memory: tuple[()], signals: tuple[State, Signals]
@@ -132,7 +135,7 @@ def sensor_map(at: OperatingPoint, i: int) -> PartMap:
 
 
 def differentiator_map(at: OperatingPoint, i: int) -> PartMap:
-    """The differentiator of channel i: from the reading to the reading with its derivative."""
+    """The differentiator of channel i: from the sensor's reading to the reading with its derivative."""
 
     def apply(part: Differentiator, params: Params, memory: State, signals: Measurement) -> tuple[State, Measurement]:
         """The differentiator's next state, and the reading with its derivative."""
@@ -154,7 +157,7 @@ def controller_map(at: OperatingPoint, i: int) -> PartMap:
 
 
 def unmodelled_map(at: OperatingPoint, i: int) -> PartMap:
-    """The unmodelled dynamics of channel i: from the command to the outputs at both ends of the sample."""
+    """The unmodelled dynamics of channel i: from the command to the outputs at start and end of the sample."""
 
     def apply(part: Unmodelled, params: Params, memory: State, signals: Scalar) -> tuple[State, Scalar, Scalar]:
         """The state after the sample, and the outputs at its start and end."""
@@ -167,17 +170,20 @@ def unmodelled_map(at: OperatingPoint, i: int) -> PartMap:
 
 
 def disturbance_map(at: OperatingPoint, i: int) -> PartMap:
-    """The disturbance of channel i: from the measurement and sigma to its value."""
+    """The disturbance of channel i: from the channel's measurement and sigma to the disturbance's value."""
     return disturbance_from(at, at.state.disturbances[i], i)
 
 
 def named_input_map(at: OperatingPoint, i: int) -> PartMap:
-    """The disturbance at the i-th named input of the plant: from measurement and sigma of the first channel."""
+    """The disturbance at the i-th named input of the plant: from a measurement and sigma to the disturbance's value.
+
+    A named input belongs to no channel; the disturbance sees measurement and sigma of the first one.
+    """
     return disturbance_from(at, at.state.inputs[i], channel=0)
 
 
 def disturbance_from(at: OperatingPoint, state: State, channel: int) -> PartMap:
-    """A disturbance that keeps its state: from the measurement and sigma of a channel to its value.
+    """A disturbance whose state is held: from the measurement and sigma of a channel to the disturbance's value.
 
     Args:
         at: The loop at its operating point.

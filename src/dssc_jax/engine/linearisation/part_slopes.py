@@ -40,12 +40,12 @@ def vector_of(tree: object) -> jax.Array:
 def value_and_slope(
     part_map: PartMap, part: Part, params: Params, point: jax.Array, direction: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the outputs of a part, or of a substitute for it, at a point, and their directional derivative.
+    """Compute the outputs of a model at a point, and their derivative along a direction.
 
     Args:
         part_map: The part as a function of its state and inputs.
-        part: The model.
-        params: Its parameters.
+        part: The model: the part itself, or the substitute for it.
+        params: The model's parameters.
         point: State and inputs of the part, as a vector.
         direction: Direction of the derivative, of the same shape.
     """
@@ -64,14 +64,14 @@ def slopes_of(
 ) -> Slopes[jax.Array]:
     """Compute the outputs of a part and their derivatives along a direction, at a point near its operating point.
 
-    A part with a kink, such as a limit, also has an inner side: a substitute model, whose derivative holds within it.
-    Any other part has the same derivative on both sides.
+    A part with a kink, such as a limit, also has an inner side: a substitute model whose derivative is that of the part
+    within the limit. Any other part has the same derivative on both sides.
 
     Args:
-        place: The part's place in the loop; it tells whether there is an inner side.
+        place: The part's place in the loop, which tells whether there is an inner side.
         part_map: The part as a function of its state and inputs.
         part: The model.
-        params: Its parameters.
+        params: The model's parameters.
         point: State and inputs of the part, as a vector.
         direction: Direction of the derivatives, of the same shape.
     """
@@ -115,14 +115,20 @@ def push_examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
     """
 
     def lane_maps(numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[Loop, LoopParams, list[PartMap]]:
-        """The loop of a draw with its parameters, and its parts as functions at the operating point."""
+        """The loop of a draw with its parameters, and its parts as functions at the operating point.
+
+        Args:
+            numbers: Numbers of the draw by name.
+            vectors: The ``state`` at the operating point, and the index of the ``sample``.
+            index: Index of the draw.
+        """
         loop, params, key = lane(numbers, index)
         _, state_from_vector = ravel_pytree(initial_state(loop, params, key))
         k = vectors["sample"][0].astype(jnp.int32)
         return loop, params, part_maps(loop, params, key, state_from_vector(vectors["state"]), k, places)
 
     def inputs(numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array, ...]:
-        """State of the first part, its inputs, state of the second part, ... at the operating point of a draw."""
+        """State and inputs of the first part, then of the second part, and so on, at the operating point of a draw."""
         _, _, maps = lane_maps(numbers, vectors, index)
         results = []
         for part_map in maps:
@@ -130,7 +136,7 @@ def push_examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
         return tuple(results)
 
     def slopes_under_pushes(numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array, ...]:
-        """The three vectors of the :class:`Slopes` of the first part, then of the second, ... under one push."""
+        """The :class:`Slopes` of each part under one push: three vectors for each part, in the parts' order."""
         loop, params, maps = lane_maps(numbers, vectors, index)
         results: list[jax.Array] = []
         for i, (place, part_map) in enumerate(zip(places, maps, strict=True)):

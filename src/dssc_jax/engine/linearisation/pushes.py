@@ -33,10 +33,10 @@ class Slopes(NamedTuple, Generic[Array]):
     """Outputs of a part near its operating point, and their derivatives along a direction.
 
     Args:
-        value: Its outputs, shape (outputs,).
-        slope: Their derivative, shape (outputs,).
-        inner: Derivative of the substitute for the inner side of a boundary, such as a command without its limit; of
-            the part itself if it has no substitute.
+        value: The part's outputs, shape (outputs,).
+        slope: Derivative of the outputs, shape (outputs,).
+        inner: The same derivative of the substitute for the inner side of a boundary, such as a command without its
+            limit; equal to ``slope`` for a part without a substitute.
     """
 
     value: Array
@@ -47,12 +47,12 @@ class Slopes(NamedTuple, Generic[Array]):
 def directions(memory: int, signals: int) -> np.ndarray:
     """Directions in which a part is pushed, shape (directions, memory + signals).
 
-    Random directions push all inputs together, or the signals alone. If there are few inputs, each is also pushed by
-    itself.
+    Random directions push all inputs together, or the signals alone. If there are few inputs, each input is also pushed
+    separately.
 
     Args:
         memory: Number of state variables of the part.
-        signals: Number of its other inputs.
+        signals: Number of the part's other inputs.
     """
     random = np.random.default_rng(0)
     sizes = random.uniform(0.5, 1.5, (RANDOM_DIRECTIONS, memory + signals))
@@ -67,7 +67,11 @@ def directions(memory: int, signals: int) -> np.ndarray:
 
 
 def equally_long(patterns: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The directions of several parts, repeated until all parts have equally many, so that they share one batch."""
+    """The directions of several parts, repeated cyclically until all parts have the same number, to share one batch.
+
+    Args:
+        patterns: Directions of each part, shape (directions of the part, inputs of the part).
+    """
     longest = max(map(len, patterns))
     return [pattern[np.arange(longest) % len(pattern)] for pattern in patterns]
 
@@ -88,9 +92,10 @@ def pushes(points: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndar
 def finding(place: LoopPart, pushed: Slopes[np.ndarray], memory: int, pattern: np.ndarray) -> np.ndarray:
     """Classify a part at the operating points of n draws: a :class:`Finding` each, shape (n,).
 
-    A derivative exists if the deviation of the effect from it is small, or shrinks with the push. A part with a
-    substitute is at a corner if its own derivative fails, and in every direction the substitute's derivative holds on
-    one side at least. It is beyond the boundary if its own derivative holds, and the substitute's differs from it.
+    A derivative exists if the effect of a push deviates little from it, or deviates less for a smaller push. A part
+    with a substitute is at a corner if two conditions hold: the part's own derivative fails, and in every direction the
+    substitute's derivative is right on at least one side. The part is beyond its boundary if its own derivative holds
+    and differs from the substitute's.
 
     Args:
         place: The part.
@@ -142,7 +147,7 @@ def finding(place: LoopPart, pushed: Slopes[np.ndarray], memory: int, pattern: n
 def staircase(moves: np.ndarray, slopes: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Whether an output does not move under a push and jumps under the next larger one, shape (n, directions).
 
-    A quantiser does so: its derivative is 0, yet a larger push moves its output.
+    A quantiser behaves like this: its derivative is 0, yet a larger push moves its output.
 
     Args:
         moves: Effects of the pushes, shape (n, pushes, sides, directions, outputs).

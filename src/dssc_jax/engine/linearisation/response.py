@@ -69,8 +69,8 @@ class ClassicalMargins(NamedTuple):
 def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
     """Return the function that gives the frequency response G(z) = c (z - A)^-1 b of n loops.
 
-    It uses the Schur form A = Q T Q* of each balanced A, with T triangular, which exists even if A has no basis of
-    eigenvectors, as with delays. Back substitution then takes the angles of all loops at once.
+    The function uses the Schur form A = Q T Q* of each balanced A, with T triangular. The Schur form exists even if A
+    has no basis of eigenvectors, as with delays. Back substitution then takes the angles of all loops at once.
 
     Args:
         a: A, shape (n, states, states).
@@ -93,7 +93,7 @@ def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
         rows[i] = (c[i] * scale) @ basis
 
     def response(angles: np.ndarray) -> np.ndarray:
-        """G at angles of any number, shape (n, m), computed in parts of a limited size."""
+        """G at any number of angles, shape (n, m), computed in parts of a limited size."""
         width = max(1, MOST_ENTRIES // max(1, order * len(angles)))
         parts = [response_at(angles[:, first : first + width]) for first in range(0, angles.shape[1], width)]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
@@ -115,7 +115,7 @@ def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
 def common_grid(poles: np.ndarray) -> np.ndarray:
     """Angles theta = omega T_s in (0, pi) at which all loops are evaluated, shape (FREQUENCIES,).
 
-    They are evenly spaced in the logarithm, from below the slowest pole to the Nyquist frequency.
+    The angles are evenly spaced in the logarithm, from below the slowest pole to the Nyquist frequency.
 
     Args:
         poles: Closed-loop eigenvalues of all loops, any shape.
@@ -126,7 +126,7 @@ def common_grid(poles: np.ndarray) -> np.ndarray:
 def loop_grids(poles: np.ndarray) -> np.ndarray:
     """Angles theta = omega T_s in (0, pi) at which each loop is evaluated, shape (n, FREQUENCIES).
 
-    As :func:`common_grid`, but each loop has its own slowest pole.
+    The grid is as in :func:`common_grid`, but follows each loop's own slowest pole.
 
     Args:
         poles: Closed-loop eigenvalues, shape (n, states).
@@ -141,7 +141,8 @@ def loop_grids(poles: np.ndarray) -> np.ndarray:
 def margin_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, poles: np.ndarray) -> np.ndarray:
     """The angles between which margins of n stable loops are searched, ascending, shape (n, m).
 
-    They are a grid and the frequencies of the closed-loop and open-loop poles, near which the response may be steep.
+    The angles are a grid and the frequencies of the closed-loop and open-loop poles, near which the response may be
+    steep.
 
     Args:
         a: State matrices of the closed loops, shape (n, states, states).
@@ -176,7 +177,7 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
     Args:
         respond: G of the loops.
         angles: Ascending angles from 0 to pi between which crossings and peaks are found, shape (n, m).
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
     """
     return ClassicalMargins(**named_margins(respond, angles, sample_time, ClassicalMargins._fields))
 
@@ -189,7 +190,7 @@ def named_margins(
     Args:
         respond: G of the loops.
         angles: Ascending angles from 0 to pi between which crossings and peaks are found, shape (n, m).
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
         names: Names of the margins: fields of :class:`ClassicalMargins`, or ``modulus``.
     """
     g = respond(angles)
@@ -214,10 +215,12 @@ def named_margins(
 def crossing_frequencies(respond: Response, angles: np.ndarray, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
     """The frequencies of one loop at which abs(L) is 1, and those at which L is real and negative [rad/s], ascending.
 
+    Roots of real functions give both: abs(L) = 1 where Re G = -1/2, and L is real where Im G = 0.
+
     Args:
         respond: G of the loop.
         angles: Ascending angles from 0 to pi between which crossings are found, shape (1, m).
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
     """
     g = respond(angles)
     gains, is_gain = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
@@ -232,7 +235,13 @@ def crossing_frequencies(respond: Response, angles: np.ndarray, sample_time: flo
 
 
 def offset_size(respond: Response, offset: float, angles: np.ndarray) -> np.ndarray:
-    """|G + offset| at some angles, shape (n, m)."""
+    """The size |G + offset| of the shifted response at some angles, shape (n, m).
+
+    Args:
+        respond: G of n loops.
+        offset: The shift, a real number.
+        angles: The angles [rad], shape (n, m).
+    """
     return np.abs(respond(angles) + offset)
 
 
@@ -245,7 +254,7 @@ def margins_at_crossings(
         respond: G of the loops.
         angles: Ascending angles, shape (n, m).
         g: G at these angles, shape (n, m).
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
     """
     crossings, is_crossing = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
     g_at_crossings = respond(crossings) if crossings.size else 1.0
@@ -265,9 +274,9 @@ def margins_at_crossings(
 
 
 def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Upper and lower gain margin, shape (n,) each, from the angles at which G is real, 0 and pi among them.
+    """Upper and lower gain margin, shape (n,) each, from the angles at which G is real, including 0 and pi.
 
-    There the loop gain times the factor 1 + 1/G puts a pole on the unit circle.
+    At such an angle, the factor 1 + 1/G of the loop gain puts a pole on the unit circle.
 
     Args:
         respond: G of the loops.
@@ -289,7 +298,7 @@ def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[
 def bandwidth(respond: Response, angles: np.ndarray, g: np.ndarray) -> np.ndarray:
     """Angle beyond which abs(T) = abs(G) stays below 1/sqrt(2), shape (n,).
 
-    It is infinite if abs(T) is larger at the Nyquist frequency, and NaN if abs(T) is nowhere that large.
+    The angle is infinite if abs(T) exceeds 1/sqrt(2) at the Nyquist frequency, and NaN if abs(T) exceeds it nowhere.
 
     Args:
         respond: G of the loops.

@@ -1,7 +1,7 @@
 """Roots and peaks of functions of an angle, for many loops at once.
 
-A function takes angles of shape (n, m), m for each of n loops, and returns its values in that shape. It is known on a
-grid of angles; all loops are refined together, each by the same number of steps.
+A function takes angles of shape (n, m), which are m angles for each of n loops, and returns values of the same shape.
+Its values on a grid of angles are given. All loops are refined together, each by the same number of steps.
 """
 
 from collections.abc import Callable
@@ -19,8 +19,8 @@ Response = Callable[[np.ndarray], np.ndarray]
 def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Add the angles at which a function comes near 0 and turns back, so that no pair of roots is missed.
 
-    Between two neighbours of the grid it may cross 0 twice, which their signs do not show. So the least |value| of each
-    such dip is searched, and its angle is added.
+    Between two neighbours of the grid the function may cross 0 twice, and then has the same sign at both. Therefore the
+    least |value| of each such dip is searched, and its angle is added to the grid.
 
     Args:
         function: A real function of the angle.
@@ -28,7 +28,7 @@ def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) ->
         values: The function at the angles, shape (n, m).
 
     Returns:
-        The ascending angles and the function there, shape (n, m + r).
+        The ascending angles and the values of the function at them, shape (n, m + r) each.
     """
     left = values[:, :-2]
     middle = values[:, 1:-1]
@@ -66,7 +66,8 @@ def true_columns(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Roots of a real function of the angle, one between any two neighbours of different sign, by the Illinois method.
 
-    It is regula falsi, a secant between two ends of different sign, that halves the value of an end which stays.
+    The method is regula falsi, a secant between two ends of different sign. If one end stays, its value is halved,
+    which speeds the convergence up.
 
     Args:
         function: A real function of the angle.

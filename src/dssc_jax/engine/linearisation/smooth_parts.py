@@ -67,7 +67,8 @@ class LoopPart(NamedTuple):
     def is_examined(self) -> bool:
         """Whether the part is examined at its operating points: it has boundaries, or is user-defined code.
 
-        The package's own parts that are smooth everywhere need no examination: its tests have examined them.
+        The package's own parts that are smooth everywhere are not examined, because the package's tests have examined
+        them.
         """
         return self.imported or self.remaining.extent != SmoothExtent.EVERYWHERE
 
@@ -77,12 +78,19 @@ class LoopPart(NamedTuple):
         return self.smoothness.extent == SmoothExtent.NOWHERE
 
     def substitute(self, params: Params) -> tuple[Part, Params]:
-        """The substitute that is differentiated in place of the part, and its parameters."""
+        """The substitute that is differentiated in place of the part, and the substitute's parameters.
+
+        Args:
+            params: Parameters of the part.
+        """
         assert self.smoothness.substitute is not None  # see declared_place
         return self.smoothness.substitute(params)
 
     def inner_side(self, params: Params) -> tuple[Part, Params]:
-        """The substitute for the inner side of the boundaries, and its parameters; see :attr:`has_inner_side`."""
+        """The substitute for the inner side of the part's boundaries, and the substitute's parameters.
+
+        Call it only if :attr:`has_inner_side`.
+        """
         assert self.remaining.substitute is not None
         return self.remaining.substitute(params)
 
@@ -102,7 +110,13 @@ class Finding(IntEnum):
 
 
 class SelectedParams(NamedTuple):
-    """Parameters of a part and of its substitute, and whether the substitute replaces the part; may be traced."""
+    """Parameters of a part and of its substitute, and whether the substitute replaces the part.
+
+    Args:
+        part: Parameters of the part.
+        substitute: Parameters of the substitute.
+        is_substituted: Whether the substitute replaces the part; may be traced, so that one program serves both cases.
+    """
 
     part: Params
     substitute: Params
@@ -110,7 +124,7 @@ class SelectedParams(NamedTuple):
 
     @property
     def l0(self) -> Scalar:
-        """The error pole of a controller."""
+        """The error pole l_0 of the part, if it is a controller [1/s]."""
         return self.part.l0
 
 
@@ -168,14 +182,14 @@ def named_kind(study: Study, slot: str, name: str) -> str:
 
 
 def declared_place(study: Study, slot: str, index: int, part: Part, params: Params) -> LoopPart:
-    """The place of a part in the loop, with its declaration of where it is smooth.
+    """The place of a part in the loop, with the part's declaration of where it is smooth.
 
     Args:
         study: The study.
         slot: Field of :class:`Loop`.
         index: Index within the slot.
         part: The model.
-        params: Its parameters, in which laws may stand for numbers.
+        params: The model's parameters, in which laws may stand for numbers.
 
     Raises:
         ConfigError: The part declares nothing, or it is smooth nowhere and has no substitute.
@@ -204,13 +218,19 @@ def declared_place(study: Study, slot: str, index: int, part: Part, params: Para
 
 
 def substitute_notes(places: Sequence[LoopPart]) -> list[str]:
-    """Notes on the substitutes of the parts that are smooth nowhere, each once, for the reader of the results."""
+    """Notes for the reader of the results on the substitutes of the parts that are smooth nowhere; each note once."""
     notes = [f"{place.label} {place.smoothness.meaning}" for place in places if place.is_replaced]
     return list(dict.fromkeys(notes))
 
 
 def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Part, Params]:
-    """The model of the part in a place of the loop, and its parameters."""
+    """The model in a place of the loop, and its parameters.
+
+    Args:
+        loop: The models and the clock.
+        params: The loop's parameters.
+        place: The place: a slot, and an index within it.
+    """
     if place.slot == "plant":
         return loop.mimo_plant, params.plant
     return getattr(loop, place.slot)[place.channel], getattr(params, place.slot)[place.channel]
@@ -219,14 +239,14 @@ def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Part, Para
 def with_part(
     loop: Loop, params: LoopParams, place: LoopPart, part: Part, part_params: Params
 ) -> tuple[Loop, LoopParams]:
-    """The loop with another part in a place, and the loop's parameters with the part's own.
+    """The loop with another part in a place, and the loop's parameters with those of this part.
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         place: The place.
         part: The other part.
-        part_params: Its parameters.
+        part_params: Parameters of the other part.
     """
     models = list(getattr(loop, place.slot))
     values = list(getattr(params, place.slot))
@@ -236,7 +256,13 @@ def with_part(
 
 
 def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> tuple[Loop, LoopParams]:
-    """The loop and its parameters, with substitutes in place of the parts that are smooth nowhere."""
+    """The loop and its parameters, with substitutes for all parts that are smooth nowhere.
+
+    Args:
+        loop: The models and the clock.
+        params: Parameters of the models.
+        places: The parts of the loop.
+    """
     for place in places:
         if place.is_replaced:
             _, part_params = part_of(loop, params, place)
@@ -251,7 +277,7 @@ def with_inner_sides(
 
     Args:
         loop: The models and the clock.
-        params: Their parameters.
+        params: Parameters of the models.
         places: The parts.
         findings: The :class:`Finding` of each part, shape (parts,); may be traced.
     """
@@ -273,7 +299,12 @@ def with_inner_sides(
 def selected_params(params: Params, substitute: Params, is_substituted: Scalar) -> Params:
     """The parameters of the substitute if it replaces the part, else the parameters of the part.
 
-    Numbers that are equal before tracing stay plain numbers, such as the size of a memory.
+    A number that is known before tracing and equal in both, such as the size of a memory, stays a plain number.
+
+    Args:
+        params: Parameters of the part.
+        substitute: Parameters of the substitute, with the same fields.
+        is_substituted: Whether the substitute replaces the part; may be traced.
     """
 
     def select(number: Scalar, substitute_number: Scalar) -> Scalar:
@@ -286,7 +317,15 @@ def selected_params(params: Params, substitute: Params, is_substituted: Scalar) 
 
 
 def choice(part: Part, substitute: Part) -> Part:
-    """A part that behaves as the part or as its substitute, whichever its :class:`SelectedParams` select."""
+    """A part that runs either as the part or as its substitute.
+
+    The parameters of the result, :class:`SelectedParams`, tell which of them runs. This may be a traced value, so both
+    are computed.
+
+    Args:
+        part: The part.
+        substitute: The substitute, with the same functions.
+    """
 
     def selecting(name: str) -> Callable[..., object]:
         """Return the function of this name that runs both parts, and selects the results of one."""

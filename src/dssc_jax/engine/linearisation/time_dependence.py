@@ -12,9 +12,10 @@ from dssc_jax.study.laws import nominal_params
 
 
 def require_timeless(study: Study) -> None:
-    """Require that the derivatives of a user-defined plant do not depend on the time; its traced program tells.
+    """Require that the derivatives of a user-defined plant do not depend on the time, by its traced program.
 
-    The derivatives of this package's plants do not. A plant with a state outside of JAX, or in a wind, is not examined.
+    The derivatives of this package's plants never depend on the time. A plant with a state outside of JAX, or in a
+    wind, is not examined.
 
     Raises:
         ConfigError: A derivative depends on the time.
