@@ -30,7 +30,7 @@ from dssc_jax.study import Study, takes_file
 class TunedContestAnswer:
     """The contest of controllers whose gains were tuned on equal budgets, with the budget in words.
 
-    In JSON the fields of ``contest`` stand among its own.
+    In JSON the fields of ``contest`` are merged into this object, next to ``budget``.
     """
 
     budget: Annotated[str, Quantity("", "the budget of each controller")]
@@ -39,9 +39,10 @@ class TunedContestAnswer:
 
 @dataclass(frozen=True)
 class ComparisonAnswer:
-    """Controllers with the gains that the study gives, or that follow from it, and with tuned gains.
+    """The answer of a comparison: the contest with given or derived gains, and the contest with tuned gains.
 
-    ``tuned`` is None if nothing was tuned. In JSON the fields of ``corresponding`` stand among its own.
+    The gains of ``corresponding`` are those that the study states for a controller, or else derives for it. ``tuned``
+    is None if nothing was tuned. In JSON the fields of ``corresponding`` are merged into this object.
     """
 
     draws: Annotated[int, Quantity("1", "number of draws")]

@@ -42,7 +42,7 @@ class MethodProbability:
 
 @dataclass(frozen=True)
 class ApproximatedFailures:
-    """The failures around a design point, with two approximations of their probability that have no interval."""
+    """The failures around a design point, with two approximations of their probability; neither has an interval."""
 
     distance: Annotated[float, Quantity("1", "distance from the median draw in standard normal space")]
     first_order: Annotated[float, Quantity("1", "probability behind the tangent of the border (FORM)")]
@@ -238,7 +238,7 @@ class RareEvent(Analysis):
         )
 
     def failing_ranges(self) -> dict[str, FailingRange]:
-        """Median of each uncertain number's law beside its weighted quantiles at the failures, by name."""
+        """For each uncertain number, by name, the median of its law and weighted quantiles of its values at failures."""
         weights = self.failing["weight"].values
         ranges = {}
         for name, values in self.failing_values.items():
@@ -280,10 +280,10 @@ class RareEvent(Analysis):
 
 
 def design_point_columns(design_points: list[DesignPoint]) -> dict[str, tuple[object, np.ndarray, dict[str, str]]]:
-    """Design points as variables of a dataset, by name: (dimensions, values, attributes) each.
+    """Design points as variables of a dataset, by name: a tuple (dimensions, values, attributes) for each variable.
 
-    ``design``, the coordinates, has the dimensions ``design_point`` and ``number``; ``distance`` and ``second_order``
-    have only the first. :func:`read_design_points` is the inverse.
+    ``design`` contains the coordinates, along ``design_point`` and ``number``. ``distance`` and ``second_order`` have
+    only the dimension ``design_point``. :func:`read_design_points` is the inverse.
     """
     points = np.array([design_point.point for design_point in design_points])
     distances = np.array([design_point.distance for design_point in design_points])
@@ -319,7 +319,8 @@ def rare(
     """Estimate a failure probability that is too small for plain draws, at the study's own values.
 
     Importance sampling around the design points takes some hundred simulations besides the plain draws. Splitting takes
-    some hundred thousand; it needs no design points. Both use the worst requirement's scaled slack.
+    some hundred thousand, but needs no design points. Both are guided by the slack of the worst requirement, relative
+    to its bound.
 
     Args:
         study: The study, or its file; its sweep and its number of draws are ignored.
@@ -338,7 +339,7 @@ def rare(
     slacks = StudySlacks(study, progress)
 
     def slacks_at(points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Simulate draws at points of standard normal space; a :data:`SlackFunction`."""
+        """Simulate a draw at each point of standard normal space; a :data:`SlackFunction`."""
         return slacks(inside_cube(special.ndtr(points)), noise)
 
     seeds = (study.config.seed,)
