@@ -122,10 +122,7 @@ class WeightedEstimate(Estimate):
 
 
 def variation_of_sum(weights: np.ndarray) -> float:
-    """Coefficient of variation of the sum of the failing points' weights; infinite without weights.
-
-    It is 1/sqrt(n) with the effective number n of points.
-    """
+    """Coefficient of variation of the sum of the failing points' weights; infinite without weights."""
     size = effective_size(weights)
     return size**-0.5 if size else np.inf
 
@@ -135,8 +132,7 @@ class Candidates(NamedTuple):
 
     Args:
         points: Coordinates in standard normal space, shape (n, d).
-        masses: Probability that each point stands for, shape (n,): the ratio of the standard normal density to the
-            density of the mixture, over the number of points.
+        masses: Probability that each point stands for, shape (n,).
         failure_probabilities: Predicted probability that each point fails, shape (n,).
     """
 
@@ -159,9 +155,7 @@ class Candidates(NamedTuple):
         return np.minimum(1.0, count * ((1.0 - BLIND) * shares + BLIND / len(scores)))
 
     def informative_chances(self, count: int) -> np.ndarray:
-        """Chances that prefer points whose failure is in doubt, for about ``count`` simulations, shape (n,).
-
-        Simulating these points improves the prediction most.
+        """Chances that prefer points whose failure is in doubt, shape (n,): they improve the prediction most.
 
         The score of a point is its mass times sqrt(p (1 - p)), where p is its predicted probability of failure.
         """
@@ -169,11 +163,7 @@ class Candidates(NamedTuple):
         return self.selection_chances(self.masses * doubts, count)
 
     def efficient_chances(self, count: int) -> np.ndarray:
-        """Chances that minimise the variance of the estimate if the prediction is right, shape (n,).
-
-        The score of a point is its mass times sqrt(p); about ``count`` points are simulated. The share :data:`BLIND` of
-        :meth:`selection_chances` is a reserve for a wrong prediction.
-        """
+        """Chances that give the estimate the least variance if the prediction is right, shape (n,)."""
         return self.selection_chances(self.masses * np.sqrt(self.failure_probabilities), count)
 
     def sample_size(self, variation: float) -> int:
@@ -193,8 +183,7 @@ class Candidates(NamedTuple):
 def systematic_sample(chances: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Draw indices of points, each with its own chance, so that the number of indices is nearly the sum of the chances.
 
-    This is systematic sampling: segments as long as the chances are laid end to end in random order, and a comb with
-    teeth at distance 1 and a random offset picks the points whose segments it hits.
+    Segments as long as the chances are laid end to end in random order; a comb with teeth at distance 1 picks points.
 
     Args:
         chances: Chance of each point, in [0, 1], shape (n,).
@@ -278,9 +267,9 @@ class DesignSearch:
     def improve(self, variation: float) -> None:
         """Improve the prediction in rounds of simulations.
 
-        The first round simulates points of the wide law, each further round points near the design points and the
-        design points themselves. The rounds end when the answer is expected to take few points, but not before
-        :data:`ROUNDS` of them; after :data:`MOST_ROUNDS`; or as soon as the prediction has no design point.
+        The first round simulates points of the wide law, each further round the design points and points near them. The
+        rounds end when the answer is expected to take few points, after :data:`MOST_ROUNDS`, or as soon as the
+        prediction has no design point.
 
         Args:
             variation: Coefficient of variation that the answer has to reach.
@@ -358,9 +347,8 @@ def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Weight
     """Simulate the points of the answer in batches, and return the failing points with their weights.
 
     The size of the first batch follows from the prediction. While the coefficient of variation is too large, a further
-    batch doubles the number of points, unless that would exceed the largest number. The estimate is the mean of the
-    batches' estimates, weighted by their planned sizes. It has no bias, since the planned size of a batch does not
-    depend on the slacks in it.
+    batch doubles the number of points. The estimate is the mean of the batches' estimates, weighted by their planned
+    sizes. It has no bias, since the planned size of a batch does not depend on its own slacks.
 
     Args:
         search: The prediction and the design points; updated after each batch.

@@ -238,7 +238,7 @@ class RareEvent(Analysis):
         )
 
     def failing_ranges(self) -> dict[str, FailingRange]:
-        """For each uncertain number, by name, the median of its law and weighted quantiles of its values at failures."""
+        """For each uncertain number, by name: the median of its law, and weighted quantiles of it at the failures."""
         weights = self.failing["weight"].values
         ranges = {}
         for name, values in self.failing_values.items():

@@ -52,7 +52,7 @@ PROOF_FILE = "proof.json"
 class Counterexample:
     """The worst draw that a search found against a tuned loop, after one round of a robust tuning.
 
-    In JSON the fields of ``worst`` stand among its own.
+    In JSON the fields of ``worst`` are merged into this object.
     """
 
     worst: PointAnswer = field(metadata={MERGED: True})
@@ -94,7 +94,7 @@ class ObjectiveAnswer:
 class VerdictAnswer:
     """The comparison of result and start on fresh draws, with its confidence.
 
-    In JSON the fields of ``verdict`` stand among its own.
+    In JSON the fields of ``verdict`` are merged into this object.
     """
 
     verdict: Verdict = field(metadata={MERGED: True})
@@ -106,7 +106,7 @@ class VerdictAnswer:
 class GradientAnswer:
     """The comparison of derivatives with differences, with its result in words.
 
-    In JSON the fields of ``agreement`` stand among its own.
+    In JSON the fields of ``agreement`` are merged into this object.
     """
 
     agreement: GradientAgreement = field(metadata={MERGED: True})
@@ -115,7 +115,7 @@ class GradientAnswer:
 
 @dataclass(frozen=True)
 class TuningDraws:
-    """How many draws the search used, and the seed they come from."""
+    """The numbers of draws that the search used, and the seed of these draws."""
 
     train: Annotated[int, Quantity("1", "training draws")]
     validation: Annotated[int, Quantity("1", "validation draws")]
@@ -124,9 +124,10 @@ class TuningDraws:
 
 @dataclass(frozen=True)
 class TunedAnswer:
-    """The tuned numbers, and how they do on fresh draws.
+    """The tuned numbers, their comparison with the start on fresh draws, and how they were found.
 
-    ``gradients`` is None if the method needs no derivatives. In JSON the fields of ``search`` stand among its own.
+    ``gradients`` is None if the method needs no derivatives. In JSON the fields of ``search`` are merged into this
+    object.
     """
 
     objective: ObjectiveAnswer
@@ -306,7 +307,7 @@ def aim_quantity(study: Study) -> Quantity:
 
 
 def tuned_table(study: Study) -> TuneTable:
-    """The ``[tune]`` of a study that has been tuned, and therefore has this table."""
+    """The table ``[tune]`` of a study that was tuned, which therefore has one."""
     table = study.config.tune
     assert table is not None
     return table
