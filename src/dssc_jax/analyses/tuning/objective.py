@@ -113,7 +113,7 @@ class Goal:
         return float(draw_weights(costs, self.aggregate, self.level) @ costs)
 
     def excess(self, results: Arrays) -> np.ndarray:
-        """How far each draw misses its worst requirement, relative to the bound, shape (n,); 0 if the draw meets all."""
+        """How far each draw misses its worst requirement, relative to the bound, shape (n,); 0 if all are met."""
         return np.maximum(np.max(self._relative_excess(results), axis=0), 0.0)
 
     def _relative_excess(self, results: Arrays) -> np.ndarray:

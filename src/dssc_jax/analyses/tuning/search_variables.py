@@ -23,7 +23,7 @@ Numbers: TypeAlias = Mapping[str, Scalar]
 
 
 def identity(tuned: Numbers) -> Numbers:
-    """Return the tuned numbers unchanged as the loop's numbers: the function ``expand`` of a search without a design."""
+    """Return the tuned numbers unchanged as the loop's numbers: the ``expand`` of a search without a design."""
     return dict(tuned)
 
 
@@ -200,7 +200,7 @@ class Theorem:
             slack: The relative slack.
 
         Returns:
-            The excess of each inequality by name; not positive if the slack is kept. It is 1 if the bound is not finite.
+            The excess of each inequality by name: not positive if the slack is kept; 1 if the bound is not finite.
         """
         parameters, bounds = self.parameters_and_bounds(numbers)
         rows = [(row.name, row.value, row.bound) for row in inequalities(parameters, bounds)]

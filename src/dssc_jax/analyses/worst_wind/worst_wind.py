@@ -73,7 +73,7 @@ class WorstWind(Analysis):
         limits: The bounds of the wind.
         interval: Time between two vectors [s].
         flights: Number of flights in given winds.
-        slopes: Number of flights with the derivative by one number.
+        slopes: Number of derivatives: flights, times the numbers by which each was differentiated.
         seconds: Computing time [s].
     """
 
@@ -120,7 +120,7 @@ class WorstWind(Analysis):
         return study_of_draw(Study.from_table(table, self.study.source), self.numbers(signal))
 
     def _row(self, signal: str) -> xr.Dataset:
-        """The part of the dataset for a signal.
+        """The part of the dataset that belongs to a signal.
 
         Raises:
             ConfigError: The signal was not searched for.
@@ -131,7 +131,7 @@ class WorstWind(Analysis):
 
     @property
     def headline(self) -> str:
-        """The effect of the worst wind on the first signal, in one line."""
+        """The effect of the worst wind found on the first signal, in one line."""
         first = self.answer.signals[0]
         if first.worst is None:
             effect = "ends the flight early"
