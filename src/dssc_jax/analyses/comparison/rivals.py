@@ -155,8 +155,8 @@ def corresponding_table(study: Study, name: str) -> ControllerTable:
 
     Args:
         study: The study.
-        name: The kind of the study's controller, or a name of :func:`rival_names`. Controllers of a user's own never
-            get here, since :func:`with_own_controllers` gives each a table ``[compare.NAME]``.
+        name: The kind of the study's controller, or a name of :func:`rival_names`. Any other controller of a user's own
+            has a table ``[compare.NAME]``, which :func:`with_own_controllers` adds.
 
     Raises:
         ConfigError: There is no such controller, or its gains do not follow from the study's own.

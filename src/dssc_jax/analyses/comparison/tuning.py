@@ -45,6 +45,11 @@ class Tuning:
     def of(cls, study: Study, candidates: int = CANDIDATES, draws: int = TUNING_DRAWS) -> "Tuning":
         """Create a budget whose draws differ from the study's.
 
+        Args:
+            study: The study, for its seed.
+            candidates: Number of sets of gains that are tried.
+            draws: Draws on which each candidate is tried.
+
         Raises:
             ConfigError: A count is out of range.
         """

@@ -104,7 +104,7 @@ class Support(SearchSet):
         return SEARCH_EDGE, 1.0 - SEARCH_EDGE
 
     def even_points(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Sobol points of the cube, shape (count, laws)."""
+        """Scrambled Sobol points of the cube, clipped to the limits, shape (count, laws)."""
         sobol = qmc.Sobol(self.size, rng=rng)
         return self.project(sobol.random(count))
 
@@ -122,7 +122,11 @@ class Support(SearchSet):
         return np.linalg.solve(score_mixing_matrix(self.study), mixed_scores.T).T
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-        """Convert derivatives by the numbers to derivatives by the levels, with differences of the laws' quantiles."""
+        """Convert derivatives by the numbers to derivatives by the levels, shape (n, laws).
+
+        The slope of a number over its level is a difference of quantiles. For the arguments see
+        :meth:`SearchSet.slopes`.
+        """
         half_step = 0.5 * SEARCH_EDGE
         number_slopes = np.empty_like(points)
         for i, law in enumerate(self.study.laws.values()):
@@ -182,7 +186,7 @@ class ScoreBall(SearchSet):
         return points * np.minimum(1.0, self.radius / one_for_zero(lengths))
 
     def levels(self, points: np.ndarray) -> np.ndarray:
-        """Quantile levels of the correlated scores, shape (n, laws)."""
+        """Quantile levels at points of the ball, shape (n, laws): those of the scores that the copula has mixed."""
         correlated_scores = points @ score_mixing_matrix(self.study).T
         return inside_cube(special.ndtr(correlated_scores))
 
@@ -191,7 +195,11 @@ class ScoreBall(SearchSet):
         return points
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-        """Convert derivatives by the numbers to derivatives by the scores, with differences of the laws' quantiles."""
+        """Convert derivatives by the numbers to derivatives by the independent scores, shape (n, laws).
+
+        The slope of a number over its correlated score is a difference of quantiles; the mixing matrix converts it. For
+        the arguments see :meth:`SearchSet.slopes`.
+        """
         mixing_matrix = score_mixing_matrix(self.study)
         correlated_scores = points @ mixing_matrix.T
         number_slopes = np.empty_like(points)

@@ -74,11 +74,11 @@ def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, largest: LargestChange,
 
     @lru_cache
     def failures(size: float) -> int:
-        """Number of new draws that fail under the change of this size."""
+        """Number of new draws that fail under a change of this size in the worst direction; each size is run once."""
         return fresh.count_failures(draws.change.apply(size * direction, fresh.scores))
 
     def interval(size: float) -> list[float]:
-        """Lower and upper limit of the failure probability under the change of this size."""
+        """Lower and upper limit of the failure probability (Clopper-Pearson) under a change of this size."""
         return clopper_pearson(failures(size), fresh.count, draws.confidence).tolist()
 
     def keeps_limit(size: float) -> bool:

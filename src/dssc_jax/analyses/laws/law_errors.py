@@ -180,7 +180,7 @@ class LawErrors(Analysis):
         return str(self.dataset[TABLE].values[removed.argmax()])
 
     def by_law(self) -> dict[str, LawError]:
-        """How wrong each law may be while all others are right, by the number's name."""
+        """How wrong each law may be while all other laws are right, by name of the number."""
         rows = {}
         for name in map(str, self.dataset[TABLE].values):
             row = self.dataset.sel({TABLE: name})
@@ -334,7 +334,7 @@ def shift_of_all_means(draws: ScoredDraws, bounds: AnyFailures, confidence: floa
     shifts = draws.weighted(Shift, confidence)
 
     def limit_at(size: float) -> float:
-        """Upper limit of the failure probability after any shift of this size."""
+        """Upper limit of the failure probability after any shift of this size, whatever set of draws fails."""
         _, high = bounds.interval_after_shift(free, size)
         return high
 
@@ -357,7 +357,10 @@ def widening_of_all_laws(draws: ScoredDraws, bounds: AnyFailures, confidence: fl
     guaranteed_width = bounds.largest_widening(free, limit) or UNCHANGED_WIDTH
 
     def limit_at(size: float) -> float:
-        """Upper limit of the failure probability after any widening of this size; NaN if the laws are correlated."""
+        """Upper limit of the failure probability after any widening of this size, whatever set of draws fails.
+
+        NaN if the laws are correlated.
+        """
         interval = bounds.interval_after_widening(free, math.exp(size))
         return math.nan if interval is None else interval[1]
 

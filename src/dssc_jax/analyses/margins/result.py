@@ -166,7 +166,7 @@ class Margins(Analysis):
     def median(self) -> float | None:
         """The median critical value: the walk's end if the median draw passes to the end, None if it fails at once.
 
-        For an even number of draws it is the smaller of the two middle values along the walk.
+        For an even number of draws, the median is the one of the two middle values that is nearer to the walk's start.
         """
         return self.at_rank((self.dataset.sizes["draw"] + 1) // 2)
 
@@ -176,6 +176,10 @@ class Margins(Analysis):
         Draws without a critical value within the walk count in the order, too: those that fail at the start come first,
         those that pass to the end last. None means that there are too few draws, or that the limit lies before the
         walk's start. If the limit lies at the walk's end or beyond, the walk's end is returned.
+
+        Args:
+            content: Share of all draws that pass.
+            confidence: Probability that the value keeps this promise.
 
         Reference:
             S. S. Wilks, Annals of Mathematical Statistics 12 (1941) 91-96.

@@ -324,7 +324,8 @@ def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: Prog
     def slack_at(draws: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Simulate all draws at one sample time, record what they violate, and return their slacks.
 
-        All entries of ``values`` are this sample time, since without bisection only whole grid values are tried.
+        All entries of ``values`` are this sample time: without bisection, all draws are tried at one grid value after
+        the other.
         """
         study_at_value = studies[values[0]]
         layout = Layout.of(study_at_value)

@@ -160,7 +160,8 @@ def with_curvature(slacks_and_slopes: SlopeFunction, design_point: DesignPoint) 
     """A copy of a design point with ``second_order``, the ratio of the probability by SORM to the probability by FORM.
 
     The ratio is prod (1 + beta kappa_i)^(-1/2), with the distance beta and the border's curvatures kappa_i. Second
-    derivatives of the slack are differences of slopes. The ratio is NaN where some 1 + beta kappa_i is not positive.
+    derivatives of the slack are differences of slopes. The ratio is NaN if some 1 + beta kappa_i is not positive, or
+    if the curvatures cannot be computed.
 
     Args:
         slacks_and_slopes: Computes the slacks and slopes of points.

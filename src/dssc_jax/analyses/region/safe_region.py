@@ -96,7 +96,7 @@ class SafeRegion(Analysis):
     seconds: float
 
     def points(self, verdict: PairVerdict) -> int:
-        """Count the lattice points with a verdict."""
+        """Count the lattice points that have a given verdict."""
         return int(np.count_nonzero(self.dataset["verdict"].values == verdict))
 
     def safe_ranges(self) -> list[SafeRange]:

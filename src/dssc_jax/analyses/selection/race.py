@@ -75,7 +75,7 @@ class PairedFailures(NamedTuple):
     draws: int
 
     def all_within(self, difference: float, evidence_threshold: float) -> bool:
-        """Whether each of the first set is proved to fail at most ``difference`` more often than each of the second.
+        """Whether each first candidate is proved to fail at most ``difference`` more often than each second one.
 
         Args:
             difference: Difference of failure probabilities.
@@ -124,7 +124,12 @@ class Tally:
         return failed
 
     def extend(self, candidates: np.ndarray, goal: int) -> None:
-        """Simulate candidates on further draws, until each has ``goal`` draws; all have to have equally many before."""
+        """Simulate candidates on further draws until each has ``goal`` draws, and count draws and failures.
+
+        Args:
+            candidates: Indices of candidates that all have the same number of draws so far.
+            goal: Number of draws that each has afterwards.
+        """
         done = int(self.draws[candidates[0]])
         failed = self.simulate(candidates, slice(done, goal))
         self.failures[candidates] += np.count_nonzero(failed, axis=1)

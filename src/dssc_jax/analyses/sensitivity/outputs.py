@@ -87,7 +87,12 @@ def refusal_reason(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
 
 
 def output_values(results: Arrays, name: str) -> np.ndarray:
-    """The values of an output, shape (n,): a metric by its name, or for ``failure`` 1 if the draw failed, else 0."""
+    """The values of an output, shape (n,): those of a metric, or for ``failure`` 1 if a draw failed and 0 if not.
+
+    Args:
+        results: Results of the simulations by name, shape (n,) each.
+        name: Name of the metric, or ``failure``.
+    """
     if name == FAILURE:
         return (results["outcome"] != Outcome.OK).astype(float)
     return results[name].astype(float)

@@ -109,7 +109,10 @@ def solve_balance(response: Linearised, balance: HarmonicBalance) -> LimitCycle 
         return complex(-1.0 / gain)
 
     def residual(w: float) -> float:
-        """Residual of the harmonic balance at the frequency w [rad/s]; NaN where no amplitude solves its real part."""
+        """Residual of the harmonic balance at the frequency w [rad/s], with the amplitude that solves its real part.
+
+        NaN if no amplitude does.
+        """
         q = negative_inverse(w)
         return balance.residual(q, balance.amplitude(q), w) if q.real > 0.0 else math.nan
 

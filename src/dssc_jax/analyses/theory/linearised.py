@@ -165,7 +165,7 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
         total = u + nominal_control(gains.nominal, gains.l0, error_at(state), ORIGIN, predictor_pole_at_rest(gains))
 
         def z_after(dt: jax.Array) -> Any:
-            """The state of the unmodelled dynamics after a step of length dt."""
+            """The state of the unmodelled dynamics after a step of length dt [s] from z under the command ``total``."""
             return model.step(dynamics, z, total, dt)
 
         _, z_rate = jax.jvp(z_after, (0.0,), (1.0,))  # the derivative by dt at dt = 0
@@ -247,7 +247,7 @@ def linearise_at_rest(loop: Loop, params: LoopParams) -> RestLinearisation:
     start, unravel = ravel_pytree(state_after_first_sample(loop, params))
 
     def next_state(state: jax.Array) -> jax.Array:
-        """The state as a vector one sample later."""
+        """The state one sample after ``state``, both as vectors of shape (states,)."""
         after, _ = step(loop, params, key, unravel(state), 1)  # 1: index of the second sample
         vector, _ = ravel_pytree(after)
         return vector

@@ -93,10 +93,7 @@ class Multipliers:
 
 
 def validation_gaps(train: Merit, validation: Merit) -> dict[str, float]:
-    """How much more a point exceeds each limit on the validation draws than on the training draws, by name.
-
-    A gap is at least 0.
-    """
+    """How much more a point exceeds each limit on the validation draws than on the training draws, at least 0."""
     return {name: max(0.0, excess - train.excess[name]) for name, excess in validation.excess.items()}
 
 

@@ -165,7 +165,7 @@ class Goal:
         return Merit(objective=float(weights @ costs), gradient=gradient, excess=excess, slopes=slopes, ended=0)
 
     def _slope(self, results: Arrays, number: str) -> np.ndarray:
-        """Derivative of each draw's cost by one of the loop's numbers, shape (n,)."""
+        """Derivative of the cost of each draw by one of the loop's numbers, shape (n,)."""
         total = np.zeros(len(results["outcome"]))
         for name, weight in self.costs.items():
             total = total + weight * results[Derivative(name, number)]

@@ -63,7 +63,7 @@ class Plan:
         """Create the plan of a study.
 
         Raises:
-            ConfigError: Dotted path, rule and value of the first error.
+            ConfigError: The settings break a rule; the message has dotted path, rule and value of the first error.
         """
         with errors_in_file(study.source):
             return cls._of(study.without_sweep())
@@ -95,7 +95,10 @@ class Plan:
         return {name: by_name[name] for name in (*self.table.objective, *self.table.limits)}
 
     def proof_at(self, numbers: Mapping[str, float]) -> "AnyProved":
-        """Prove the study with other numbers, or return the proof that an earlier call found for them."""
+        """Prove the study with other numbers of the loop, or return the proof that an earlier call found for them.
+
+        The proof may be incomplete; then it has the reason.
+        """
         from dssc_jax.proofs.prove import prove
 
         key = tuple(numbers.items())

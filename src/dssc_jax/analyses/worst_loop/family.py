@@ -39,7 +39,7 @@ class LoopFamily:
     """
 
     def __init__(self, resting: RestingLoop, box: Box, findings: np.ndarray, advance: Callable[[int], None]) -> None:
-        """Start with an empty cache of linearised points."""
+        """Start with an empty cache of linearised points; nothing is linearised yet."""
         self.resting = resting
         self.advance = advance
         self.box = box

@@ -185,13 +185,13 @@ def multiloop_case(
     channels = tuple(study.loop.channels[index] for index in joint.channels)
 
     def known_states() -> np.ndarray:
-        """Indices of the states between the commands at any point linearised so far."""
+        """Indices of the states between the commands, in a draw or at any point linearised so far, shape (states,)."""
         places = seen_joint_places(study, family, drawn)
         assert places is not None  # the loops seen so far become more, never fewer
         return places.states
 
     def search(broken: BrokenFamily) -> JointCase:
-        """The worst case of all commands at once, with the points that are left."""
+        """Find the worst case of all commands at once, with as many points as are left."""
         return joint_case(broken, channels, broken.break_loops(drawn), cells, remaining_points())
 
     return with_all_states(BrokenFamily(family, joint.states, joint.points.tolist()), known_states, search)

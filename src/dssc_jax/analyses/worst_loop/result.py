@@ -24,7 +24,7 @@ BEYOND = (0.02, 0.01, 0.005, 0.002, 0.001)
 
 @dataclass(frozen=True)
 class WorstMargin:
-    """The worst case of a margin at one break point: among the draws, found in the box, and bounded on the whole box."""
+    """The worst case of a margin at one break point: among the draws, found in the box, and bounded for all of it."""
 
     unit: Annotated[str, Quantity("", "unit of the margin")]
     drawn: Annotated[float, Quantity(MARGIN_UNIT, "worst of all draws; None: infinite, or a loop is unstable")]
@@ -204,7 +204,7 @@ class WorstLoop(Analysis):
 
     @property
     def headline(self) -> str:
-        """One line on the loop broken at the first place: whether it is stable on the whole box, and its disk margin."""
+        """One line on the loop broken at the first place: whether it is stable on all the box, and its disk margin."""
         loop = self.loops[0]
         worst = self.answer.loops[loop]
         disk = worst.margins["disk"]

@@ -56,7 +56,7 @@ def start_points(sides: int) -> np.ndarray:
 
 
 def unit_moves(sides: int) -> np.ndarray:
-    """Moves by 1 and by -1 along each coordinate, shape (2 sides, sides)."""
+    """Moves by 1 along each coordinate, then by -1 along each, shape (2 sides, sides)."""
     return np.concatenate([np.eye(sides), -np.eye(sides)])
 
 
@@ -209,7 +209,7 @@ def nearest_instability(
 
 
 def to_faces(directions: np.ndarray) -> np.ndarray:
-    """Directions of shape (n, sides), scaled so that each ends on a face of the box [-1, 1]^sides."""
+    """Scale directions of shape (n, sides) so that each ends on a face of the box [-1, 1]^sides."""
     return directions / np.abs(directions).max(axis=1, keepdims=True)
 
 

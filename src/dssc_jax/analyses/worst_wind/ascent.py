@@ -205,7 +205,7 @@ class Ascent:
         return join_points([median_points, Points(winds, corners)])
 
     def heights(self, points: Points) -> Arrays:
-        """Fly at some points, and return the height of each signal by name, shape (n,) each."""
+        """Fly at n points, and return the height of each signal by name, shape (n,) each; inf for an early end."""
         self.flown += len(points.winds)
         results = self.flights(points.winds, points.numbers)
         return {name: self.flights.signals[name].sign * results[name] for name in self.signals}

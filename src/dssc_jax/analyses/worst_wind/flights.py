@@ -49,7 +49,15 @@ class WindGrid(NamedTuple):
 
     @classmethod
     def of(cls, study: Study, segments: int, smooth: bool) -> "WindGrid":
-        """The grid that divides a study's flight into at most ``segments`` segments of whole samples."""
+        """The grid that divides a study's flight into at most ``segments`` segments of whole samples.
+
+        A smooth grid has :data:`BEYOND` further knots.
+
+        Args:
+            study: The study, for its number of samples and its sample time.
+            segments: Largest number of segments.
+            smooth: Whether the vectors are the knots of a spline.
+        """
         samples = math.ceil(study.loop.steps / segments)  # in a segment
         count = math.ceil(study.loop.steps / samples)
         size = count + BEYOND if smooth else count
@@ -207,7 +215,7 @@ def require_certain_wind(study: Study) -> None:
 def flying_study(study: Study, grid: WindGrid) -> Study:
     """The study with a wind of free numbers on a grid, and with all signals as its metrics.
 
-    Its sweep, requirements and other settings that do not belong to a flight are removed.
+    The tables in :data:`REPLACED`, which do not matter for a single flight, are removed.
 
     Args:
         study: The study.
