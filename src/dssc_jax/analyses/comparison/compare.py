@@ -191,7 +191,7 @@ def compare(
     require_independent(study, "a comparison")
     study, tables, studies = Contestants.of(study, controllers)
     step_numbers = itertools.count(1)
-    steps_of_controller = 3 if candidates else 1  # a run; then the tuning, and a run with its gains
+    steps_of_controller = 3 if candidates else 1  # a run, a tuning, and a run with the tuned gains; or a run alone
     total = len(tables) * steps_of_controller
 
     def report_step() -> None:

@@ -107,7 +107,7 @@ def common_gains(study: Study, name: str) -> ControllerTable:
     controller = study.config.controller
     with errors_under(f"compare.{name}"):
         forms = lookup(name, CONTROLLERS).members
-        own_controller = next(iter(forms.values()))  # its only form
+        own_controller = next(iter(forms.values()))  # a user's own controller has only one form
         fields = field_specs(own_controller.params)
     common = [key for key in COMMON_GAINS if key in fields]
     gains = {key: controller[key] for key in common if key in controller}
@@ -318,7 +318,7 @@ def missing_pair_rule(study: Study, table: ControllerTable) -> str:
     except ConfigError:
         return ""
     for pair in correlation:
-        for gain in correlated_names({pair: 0.0}):  # the names alone matter, no coefficient
+        for gain in correlated_names({pair: 0.0}):  # only the names matter, so any coefficient will do
             if gain not in free.laws:
                 return (
                     f'has no uncertain number {gain}, which correlation."{pair}" ties to another, and all controllers '

@@ -2,8 +2,8 @@
 
 The search uses standardised coordinates (:mod:`dssc_jax.analyses.falsification.search_sets`): the quantile levels of
 the laws, or their standard normal scores. Every draw comes with its likelihood, from the same scores. Knots of a
-disturbance or a wind that is a ``spline`` are treated like other numbers, so signals need no special treatment. In-
-loop noise is that of draw 0, and the likelihood leaves it out.
+disturbance or a wind that is a ``spline`` are treated like other numbers, so signals need no special treatment. All
+points have the in-loop noise of draw 0, which the likelihood leaves out.
 """
 
 import time

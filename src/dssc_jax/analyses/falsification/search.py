@@ -34,8 +34,8 @@ SHORTER = 0.3  # factor of a step after failure
 MEMBERS_PER_COORDINATE = 4  # members of the evolution, for each coordinate
 LEAST_MEMBERS = 8  # members of the evolution in any case
 GENERATION_COST = 20  # a generation takes at most one part in so many of the budget
-LARGEST_COST = 1e100  # of the evolution, in place of infinity
-RAN_TO_END = 0  # in place of the outcome code of an early end
+LARGEST_COST = 1e100  # largest size of a cost in the evolution, in place of infinity
+RAN_TO_END = 0  # value of a draw that did not end early, in place of an outcome code
 
 
 class SearchPrograms(NamedTuple):
@@ -331,7 +331,7 @@ class WorstDrawSearch:
         count = population_size(self.budget, self.size)
         first_generation: Any = self.worst_points(count)
         remaining_budget = self.budget - self.simulation_count
-        generations = remaining_budget // count - 1  # SciPy simulates the first one again
+        generations = remaining_budget // count - 1  # SciPy simulates the first generation again
         self.unspent = f"the {remaining_budget % count} simulations left are fewer than a generation of {count}"
         if generations < 1:
             self.unspent = f"the {remaining_budget} simulations left are fewer than two generations of {count}"

@@ -304,7 +304,7 @@ def laws(
     changes = (shift_of_all, widening_of_all)
     free = draws.free(draws.names)
     guaranteed = Guaranteed(bounds.largest_shift(free, limit), bounds.largest_widening(free, limit))
-    new = FreshDraws(study, len(draws.failed), fresh, progress)  # simulates nothing yet
+    new = FreshDraws(study, len(draws.failed), fresh, progress)  # no simulation before its first use
     return LawErrors(
         study,
         law_errors_dataset(draws, shift_of_all, widening_of_all, bounds, limit),

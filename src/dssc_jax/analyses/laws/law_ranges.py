@@ -1,7 +1,8 @@
 """Lowest and highest failure probability over all laws whose arguments lie within ranges: a probability box.
 
-The draws come from a mixture of the laws of the box, and are simulated once. Their weights give the failure probability
-under every law of the box, so that a search finds the best and the worst of them. New draws of these two laws check it.
+The draws come from a mixture of the laws of the box, and are simulated once. The weights of the draws give the failure
+probability under every law of the box, so that a search finds the best and the worst law. New draws of these two laws
+check the result.
 """
 
 import time
@@ -81,9 +82,9 @@ class LawRangesAnswer:
 class LawRanges(Analysis):
     """Lowest and highest failure probability over the box of laws: all laws whose arguments lie within their ranges.
 
-    The dataset's dimension ``argument`` lists the arguments given as ranges. Its variables are ``low`` and ``high``,
-    the range, and ``at_lowest`` and ``at_highest``, the argument of the law with the lowest and with the highest
-    failure probability.
+    The dimension ``argument`` of the dataset lists the arguments that are ranges. Along it the dataset has the ends of
+    the range, ``low`` and ``high``, and the value of the argument in the law with the lowest failure probability,
+    ``at_lowest``, and with the highest, ``at_highest``.
 
     Args:
         limit: Largest failure probability allowed.
@@ -178,7 +179,7 @@ def law_ranges(
 
     Args:
         study: A study in which the arguments of at least one law are ranges, ``{ normal = [[0.9, 1.1], 0.1] }``; its
-            sweep is ignored. Its draws are doubled, up to four times, while their weights are too uneven.
+            sweep is ignored. The number of its draws is doubled, up to four times, while the weights are too uneven.
         limit: Largest failure probability allowed, in (0, 1).
         fresh: Number of new draws of each of the two laws found; None: as many as the study has draws.
         progress: Called with the simulations done.

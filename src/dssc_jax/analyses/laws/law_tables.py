@@ -103,7 +103,7 @@ def law_columns(
         bounds: Bounds that hold whatever set of draws fails.
         limit: Largest failure probability allowed.
     """
-    rows = []  # of each law: shift, its estimate, direction, width, its estimate
+    rows = []  # for each law: bound and estimate of the shift, direction, bound and estimate of the width
     for name in draws.names:
         free = draws.free([name])  # this law alone changes
         shift = largest_change(replace(shifts, free=free), limit)

@@ -99,7 +99,7 @@ def best_log_scales(matrices: np.ndarray) -> np.ndarray:
         to_edge = np.einsum("nij,nj->ni", ellipsoid, slope) / reach[:, None]  # from the centre to the edge, uphill
         centre = centre - np.where(is_moving[:, None], to_edge, 0.0) / (free + 1.0)
         square = to_edge[:, :, None] * to_edge[:, None, :]
-        smaller = free**2 / (free**2 - 1.0) * (ellipsoid - 2.0 / (free + 1.0) * square)  # about the lower half
+        smaller = free**2 / (free**2 - 1.0) * (ellipsoid - 2.0 / (free + 1.0) * square)  # encloses the lower half
         ellipsoid = np.where(is_moving[:, None, None], smaller, ellipsoid)
         logs = np.concatenate([np.zeros((count, 1)), centre], axis=1)
         norms, slopes = scaled_norms(matrices, logs)

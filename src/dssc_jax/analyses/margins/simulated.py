@@ -31,7 +31,7 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study, takes_file
 from dssc_jax.study.laws import SPREAD
 
-SPREAD_HALVINGS = 10  # in the search for the largest admissible spread
+SPREAD_HALVINGS = 10  # halvings in the search for the largest admissible spread
 
 
 @takes_file

@@ -154,7 +154,7 @@ def improve_surrogate(surrogate: Surrogate, sample: np.ndarray, extra_draws: int
     points = np.concatenate([surrogate.points, border_points])
     slacks = np.concatenate([surrogate.slacks, counter(border_points, counter.unused_noise(extra_draws))])
     is_in_band = np.abs(surrogate(points)) <= distances[nearest[-1]]
-    expected_pilot_draws = PILOT * len(nearest) / len(sample)  # in the band
+    expected_pilot_draws = PILOT * len(nearest) / len(sample)  # draws of the pilot expected in the band
     weight_in_band = expected_pilot_draws / (expected_pilot_draws + extra_draws)
     return Surrogate(points, slacks, np.where(is_in_band, weight_in_band, 1.0))
 

@@ -366,7 +366,7 @@ def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Weight
         slacks, noise_index = search.simulate(candidates.points[indices])
         has_failed = slacks < 0.0
         failed = indices[has_failed]
-        share = batch_size / (count + batch_size)  # of this batch in the estimate
+        share = batch_size / (count + batch_size)  # weight of this batch in the estimate
         weights = share * candidates.masses / chances
         likely_weight = largest_likely_weight(weights, chances * candidates.failure_probabilities)
         largest_failed_weight = float(weights[failed].max(initial=0.0))

@@ -1,6 +1,7 @@
 """A prediction of the slack in standard normal space with its uncertainty, from simulated points.
 
-It decides where to simulate, and hence how many simulations an answer takes. A bad prediction leaves the answer valid.
+The prediction decides where to simulate, and hence how many simulations an answer takes. A bad prediction leaves the
+answer valid.
 
 Reference:
     G. Matheron, "The intrinsic random functions and their applications", Advances in Applied Probability 5 (1973)

@@ -123,7 +123,7 @@ class Clones(NamedTuple):
 
 @dataclass(frozen=True)
 class SplittingEstimate(Estimate):
-    """The estimate of a splitting: the mean over independent repeats. Its failing particles have equal weights.
+    """The estimate of a splitting: the mean over independent repeats. All failing particles have equal weights.
 
     Args:
         estimates: Estimate of each independent repeat, shape (R,).
@@ -271,8 +271,8 @@ def raise_level(repeat: Repeat, splitting: Splitting) -> Clones | None:
 def move_clones(clones_of_repeats: list[Clones], counter: SlackCounter) -> None:
     """Propose one step of every clone's Markov chain, and accept those proposals whose slacks are below the level.
 
-    The proposal from the point z is sqrt(1 - s^2) z + s xi, with the size s of the move and a standard normal xi. It
-    leaves the standard normal law unchanged.
+    The proposal from the point z is sqrt(1 - s^2) z + s xi, with the size s of the move and a standard normal xi. Such
+    a proposal leaves the standard normal law unchanged.
 
     Args:
         clones_of_repeats: The clones of each repeat; updated.

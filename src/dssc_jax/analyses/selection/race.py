@@ -7,8 +7,8 @@ the K that failed least often fails at most ``within`` more often than each of t
 on the best is wrong, each chosen candidate then fails at most ``within`` more often than any that was not chosen:
 either all of the best are chosen, or the evidence compares the chosen candidates with one of the best that is not.
 
-Where K candidates hardly ever fail, nothing fails less often by more than that: a candidate whose failure probability
-is surely less than ``within`` may be chosen without a look at the others.
+If K candidates hardly ever fail, a comparison with the others is not needed: nothing fails less often than never. So a
+candidate whose failure probability is proved to be less than ``within`` may be chosen without a look at the others.
 
 The evidence holds at all numbers of draws at once (:func:`dssc_jax.statistics.log_evidence_of_less`), so the race may
 look as often as it likes. A third of the error is spent on candidates that leave, a third on the end, and a third on

@@ -136,8 +136,8 @@ def select(
 ) -> Selection:
     """Find the candidates that fail least often among many values of some numbers, with 95 % confidence.
 
-    All candidates are simulated on the same independent draws. Those that are surely not among the best leave early.
-    A run of the study has other draws, on which the choice can be judged.
+    All candidates are simulated on the same independent draws. A candidate leaves early if it is proved not to be among
+    the best. A run of the study has other draws, on which the choice can be judged.
 
     Args:
         study: The study, or its file; its sweep and its number of draws are ignored.

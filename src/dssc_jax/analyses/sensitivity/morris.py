@@ -83,7 +83,7 @@ def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.nd
     spread = effects.std(1, ddof=1)
     squares = (effects - effects.mean(1, keepdims=True)) ** 2
     variances_without_one = ((count - 1) * spread[:, None] ** 2 - squares * count / (count - 1)) / (count - 2)
-    jackknife_values = (count - 1) * np.sqrt(np.maximum(variances_without_one, 0.0))  # up to constants of a factor
+    jackknife_values = (count - 1) * np.sqrt(np.maximum(variances_without_one, 0.0))  # up to sign and a constant
     size_table = interval_table(sizes.mean(1), reach * sizes.std(1, ddof=1))
     spread_table = interval_table(spread, reach * jackknife_values.std(1, ddof=1))
     is_indicator = np.all(np.isin(sizes, (0.0, 1.0)))

@@ -108,8 +108,8 @@ class Sensitivity(Analysis):
 
     The dimension ``output`` of the dataset holds every metric and ``failure``. The dimension ``factor`` holds the
     uncertain numbers, then the in-loop noise if there is any. Along both, the dataset has the quantities of the method
-    with the ends of their intervals, such as ``total``, ``total_low`` and ``total_high``. They are NaN for an output
-    without quantities. Along ``output`` it has ``missing``, the number of simulations without a value.
+    with the ends of their intervals, such as ``total``, ``total_low`` and ``total_high``. For an output without
+    quantities these are NaN. Along ``output`` the dataset has ``missing``, the number of simulations without a value.
 
     Args:
         method: Name of the method, see :func:`dssc_jax.sensitivity`.

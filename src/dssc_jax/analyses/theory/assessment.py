@@ -276,7 +276,7 @@ def assess(
         values = time_constants(study, over, bounds)
         after = SETTLED * study.config.loop.duration
         loops = {kind_in(study.config, "controller"): study, **(rivals or {})}
-        for name, loop in loops.items():  # those before an error are kept
+        for name, loop in loops.items():  # an error keeps the oscillations found before it
             oscillations[name] = chattering(loop, values, push=PUSH, after=after)
     except ConfigError as error:
         not_covered[OSCILLATIONS] = error.rule

@@ -63,7 +63,7 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         "sweep": {mu: [float(value) for value in values]},
     }
     result = running.run(resting.override({**medians(resting), **changes}))
-    simulated_amplitude = result.dataset["sigma_max"].values[:, 0]  # of the only draw
+    simulated_amplitude = result.dataset["sigma_max"].values[:, 0]  # 0: the only draw
     predicted_amplitude = np.full(len(values), np.nan)
     predicted_frequency = np.full(len(values), np.nan)
     if study.loop.controller[0].describing is not None:

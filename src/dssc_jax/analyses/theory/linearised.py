@@ -204,7 +204,7 @@ def continuous_matrix(loop: Loop, params: LoopParams) -> jax.Array:
     """
     a, b, c = open_loop(loop, params)
     law = loop.controller[0].synthesised
-    assert law is not None  # held by require_continuous, before tracing
+    assert law is not None  # require_continuous has checked this before tracing
     proportional_gain, integral_gain = law(params.controller[0])
     closed_loop = a - proportional_gain * jnp.outer(b, c)
     return jnp.block([[closed_loop, b[:, None]], [-integral_gain * c[None, :], jnp.zeros((1, 1))]])

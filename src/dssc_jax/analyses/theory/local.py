@@ -109,8 +109,8 @@ class Spectrum(NamedTuple):
 
     Args:
         eigenvalues: (values of every law and every swept number by name, shape (n,) each) -> eigenvalues,
-            shape (n, states), of the step from sample to sample [1], or in continuous time [1/s]. It raises ConfigError
-            if the loop does not start at rest, or has no derivative there.
+            shape (n, states), of the step from sample to sample [1], or in continuous time [1/s]. The call raises
+            ConfigError if the loop does not start at rest, or has no derivative there.
         notes: Sentences on the substitutes of parts without a derivative. The list grows as ``eigenvalues`` meets parts
             at their corners.
     """

@@ -277,12 +277,12 @@ class QuadraticSearch:
     progress: ProgressCallback | None
     step_count: int = 0
     gaps: dict[str, float] = field(default_factory=dict)
-    _points: dict[bytes, AssessedPoint] = field(default_factory=dict)  # of the stage, by bytes of z
-    _stale: int = 0  # steps since the best one
+    _points: dict[bytes, AssessedPoint] = field(default_factory=dict)  # points of the stage, by bytes of z
+    _stale: int = 0  # steps since the best point
 
     def __post_init__(self) -> None:
         """Fix the order of the limits, in which constraints are passed to SLSQP."""
-        self.names = list(self.iterate.merit.excess)  # of the limits
+        self.names = list(self.iterate.merit.excess)  # names of the limits
 
     def at(self, x: np.ndarray) -> AssessedPoint:
         """The point at x, shape (n + 1,); a point is evaluated only once in a stage."""

@@ -134,7 +134,7 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     centre = logit(rng.uniform(INSET, 1.0 - INSET, (points, tuned_count)))
     draws = rng.choice(problem.train, points)
     shifts = coordinate_shifts(tuned_count)
-    z = (centre + shifts[:, None, :]).reshape(-1, tuned_count)  # all points, at one shift after the other
+    z = (centre + shifts[:, None, :]).reshape(-1, tuned_count)  # all points at the first shift, then all at the next
     lanes = {name: np.tile(column[draws], len(shifts)) for name, column in problem.laws.items()}
     lanes |= coordinates.numbers(z)
     results = problem.without_derivatives(np.tile(draws, len(shifts)), lanes)
@@ -233,7 +233,7 @@ def differences_of(values: np.ndarray, tuned_count: int) -> Differences:
         tuned_count: Number of tuned numbers.
     """
     metrics, _, points = values.shape
-    shifted = values[:, 1:].reshape(metrics, 4, tuned_count, points)  # 4: each step, forward and backward
+    shifted = values[:, 1:].reshape(metrics, 4, tuned_count, points)  # 4: two lengths, each forward and backward
     higher, lower, step_higher, step_lower = shifted.transpose(1, 0, 3, 2)  # shape (metrics, points, numbers) each
     value = np.broadcast_to(values[:, 0, :, None], higher.shape)
     forward = (higher - value) / DIFFERENCE_STEP

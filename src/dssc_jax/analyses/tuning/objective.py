@@ -240,7 +240,7 @@ def missed_requirement(requirement: Requirement, slacks: np.ndarray) -> MissedBo
     return MissedBound(text=requirement.short_text, draws=len(slacks), excess=abs(shown_value - shown_bound), unit=unit)
 
 
-RESAMPLES = 2000  # of the bootstrap
+RESAMPLES = 2000  # resamples of the bootstrap
 JUDGED_LANES = 4096  # most draws of the verdict that are simulated at once
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -321,7 +321,7 @@ def compare_results(plan: Plan, goal: Goal, start_results: Arrays, results: Arra
     costs = goal.cost(results)
     start_objective = goal.value(start_costs)
     objective = goal.value(costs)
-    level = goal.level if goal.aggregate == "cvar" else 0.5  # of the quantile whose intervals are given
+    level = goal.level if goal.aggregate == "cvar" else 0.5  # level of the quantile whose intervals are given
     cost_difference = compare_metrics(costs, start_costs)
     start_failed = np.asarray(start_results["outcome"] != Outcome.OK)
     failed = np.asarray(results["outcome"] != Outcome.OK)

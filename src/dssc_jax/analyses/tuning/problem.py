@@ -125,7 +125,7 @@ class Problem:
             costs=table.objective,
             aggregate=table.aggregate,
             level=table.level,
-            limits={},  # those of some draws: see goal_on
+            limits={},  # goal_on sets the limits for the draws in use
             requirements=self.evaluator.swept.requirements,
         )
 

@@ -301,7 +301,7 @@ def aim_quantity(study: Study) -> Quantity:
     table = tuned_table(study)
     if table.aim == PROVED_ERROR:
         return Quantity(study.units[0].output, f"proved bound of {claim_of_study(study).error} once settled")
-    name = next(iter(table.over))  # its only one
+    name = next(iter(table.over))  # the rules of [tune] require exactly one
     unit = study.quantities[name].unit if name in study.quantities else "1"
     return Quantity(unit, f"last proved {name}")
 

@@ -14,12 +14,12 @@ DESCENTS = ("adam", "adabelief", "amsgrad", "lion", "nadam", "rmsprop", "sgd")  
 EVOLUTION = "differential_evolution"  # in scipy.optimize
 PROGRAMMING = "sqp"  # SLSQP, in scipy.optimize
 SIMPLEX = "nelder_mead"  # in scipy.optimize; for proved numbers only
-OBJECTIVE = "objective"  # an aim
-PROVED_ERROR = "proved_error"  # an aim
+OBJECTIVE = "objective"  # a value of tune.aim
+PROVED_ERROR = "proved_error"  # a value of tune.aim
 OPTIMISERS = (*DESCENTS, PROGRAMMING, EVOLUTION)
 WIDTH = "controller.sign_width"
-ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbers the theorem's bounds are made of
-UNKNOWN_WORDS = ("unknown", "nowhere")  # in the rules of errors about names that a study does not have
+ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop on whose numbers the theorem's bounds depend
+UNKNOWN_WORDS = ("unknown", "nowhere")  # words in the messages of errors about names that a study does not have
 
 
 def tune_table(study: Study) -> TuneTable:

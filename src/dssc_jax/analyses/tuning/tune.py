@@ -90,7 +90,7 @@ def tune(
         counterexamples=solution.counterexamples,
         seconds=time.perf_counter() - began,
     )
-    values = plan.coordinates.tuned(best.z)  # by NumPy; where the loop has such a number, its digits are JAX's
+    values = plan.coordinates.tuned(best.z)  # by NumPy; numbers of the loop, by JAX, may differ in the last digit
     tuned = Tuned(
         study=plan.study,
         dataset=tuning_dataset(plan.study, solution.record.history, costs),

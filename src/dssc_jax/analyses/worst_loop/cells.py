@@ -246,14 +246,14 @@ def bound_cells(cells: Cells, models: Sequence[LinearModel], goals: np.ndarray, 
         y = r[:, outputs]
         change = inverse_change(r, x, y, steps, remainder)
         response = y[:, :, inputs]  # G_0
-        linear = y[:, None] @ (steps @ x[:, None])  # y N_i x, up to a sign, which u_i has anyway
+        linear = y[:, None] @ (steps @ x[:, None])  # y N_i x; the sign does not matter, since u_i takes both
         nonlinear = np.abs(y) @ remainder @ np.abs(x)  # abs(y E x) at most
         second_order = change.left_size @ change.inverse @ change.right_size  # abs(y D N^-1 D x) at most
         gains = readout.gains(Enclosure(response, linear, nonlinear + second_order, cells.end), goals)
         is_bounded = is_finite & np.all(change.inverse >= 0.0, axis=(1, 2))
         weights = side_weights(change, add_border(bends, channels), readout.scales(response), is_bounded)
-    weights[:, sides] *= CHEAPER  # the angle
-    has_no_weights = ~np.all(np.isfinite(weights), axis=1)  # then the widest side is halved
+    weights[:, sides] *= CHEAPER  # index sides: the angle
+    has_no_weights = ~np.all(np.isfinite(weights), axis=1)  # for such cells the widest side is halved
     weights[has_no_weights, :sides] = (cells.high - cells.low)[has_no_weights]
     weights[has_no_weights, sides] = (cells.end - cells.start)[has_no_weights]
     return CellBounds(np.where(is_bounded[:, None], gains, UNBOUNDED), np.argmax(weights, axis=1))

@@ -12,7 +12,7 @@ from dssc_jax.analyses.worst_loop.family import Evaluate
 WIDENED = 1.5
 """Factor of the measured deviations from a linear dependence, since those between the points may be larger."""
 CORNERED = 4  # largest number of sides with which the deviations are measured at all corners and edges
-RANDOM_CORNERS = 32  # corners at which they are measured with more sides
+RANDOM_CORNERS = 32  # random corners at which the deviations are measured with more sides
 MOST_PARALLEL = 1e6  # largest condition number of the matrix of modes
 
 

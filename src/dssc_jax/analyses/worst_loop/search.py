@@ -16,12 +16,12 @@ UNSTABLE = {"lower": 0.0, "upper": np.inf}
 """The value of a margin of an unstable loop, by the side of its limit."""
 MOST_CORNERS = 6  # numbers up to which all corners are tried
 RANDOM_POINTS = 64  # random points at which a search begins
-FIRST_STEP = 0.5  # of the search along each number
+FIRST_STEP = 0.5  # first step of a search along each coordinate
 SMALLEST_STEP = 1e-3
-LEAST_GAIN = 1e-12  # by which a step has to improve the worst value
+LEAST_GAIN = 1e-12  # least amount by which a step has to worsen the worst value
 LEAST_SHRINKAGE = 1e-4  # share by which a step has to reduce the growth to an instability
 GROWTH_STEPS = 24  # steps of the growth along a direction, after each of which stability is tested
-BISECTIONS = 16  # of the step in which a loop becomes unstable
+BISECTIONS = 16  # bisections of the step of growth in which a loop becomes unstable
 
 
 class WorstPoint(NamedTuple):

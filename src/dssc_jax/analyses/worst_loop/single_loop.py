@@ -29,7 +29,7 @@ from dssc_jax.study.known_draws import study_of_draw
 SHARES = (0.95, 0.85, 0.7, 0.5, 0.3, 0.15)
 """The growths for which a proof of stability is tried, relative to the smallest one with an unstable loop."""
 SEARCHED = 0.25  # share of the points for each of the two searches
-TRIALS = 3  # one part in so many of the remaining points is for each further bound
+TRIALS = 3  # each further bound gets the remaining points divided by this number
 FREE_DELAY_GAIN = 1e-3  # goal for the gain of the delay where no delay found makes the loop unstable
 LOOSEST = np.full(len(GAINS), 1e300)
 """Goals that any finite bounds meet."""

@@ -188,14 +188,14 @@ def worst_wind(
 ) -> WorstWind:
     """Find the wind within the bounds of a study's wind that drives each signal to its worst value.
 
-    Candidates are winds that swing along a line with a period, which resonate with the loop, and winds that switch to
-    random extremes. From the two worst of either kind for each signal, a climb steps towards the extreme wind of the
-    signal's gradient. Uncertain numbers of the study move, too, within the support of their laws; a choice keeps its
-    value.
+    Candidates are winds that swing along a line with a period, which may resonate with the loop, and winds that switch
+    to random extremes. For each signal, climbs start at the two worst candidates of either kind. A climb steps towards
+    the extreme wind of the signal's gradient. Uncertain numbers of the study move, too, within the support of their
+    laws; a number with a choice of values keeps its value.
 
     Args:
-        study: The study. Its wind declares its bounds; with ``kind = "bounded"`` they are its parameters. Its own sweep
-            is ignored, and all flights have the in-loop noise of draw 0.
+        study: The study, whose wind declares its bounds; with ``kind = "bounded"`` the parameters of the wind are the
+            bounds. The study's sweep is ignored, and all flights have the in-loop noise of draw 0.
         signals: Metrics of a flight, see :func:`dssc_jax.fly_winds`: the largest |e|, |e'| and |sigma| of each channel,
             the largest tilt, the largest and the smallest thrust of a rotor. None: all but |e'|.
         segments: Parts of the flight, of whole samples; a wind may change between two.
