@@ -191,7 +191,7 @@ class ContestPart(NamedTuple):
 
     @classmethod
     def of(cls, contest: Contest) -> "ContestPart":
-        """Take the tables and the variables' names from a contest."""
+        """Keep the tables of a contest and the names of its variables, without its data."""
         return cls(contest.tables, tuple(map(str, contest.dataset)))
 
     def contest(self, dataset: xr.Dataset) -> Contest:

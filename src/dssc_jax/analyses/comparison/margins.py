@@ -29,7 +29,7 @@ from dssc_jax.study.code import code_names
 
 @dataclass(frozen=True)
 class MarginPair:
-    """Two controllers a and b on the same draws: on how many draws each goes further than the other."""
+    """Two controllers a and b on the same draws: on how many draws each passes further along the walk."""
 
     a: Annotated[str, Quantity("", "one controller")]
     b: Annotated[str, Quantity("", "the other controller")]

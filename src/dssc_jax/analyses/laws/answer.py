@@ -45,7 +45,7 @@ class Estimates:
 
 @dataclass(frozen=True)
 class WeightedAnswer:
-    """What the weighted draws say of one kind of change of all laws: the largest change that keeps the limit."""
+    """The largest change of one kind, of all laws at once, that keeps the limit according to the weighted draws."""
 
     bound: Annotated[float, Quantity("that of the change", "largest change, with confidence")]
     estimate: Annotated[float | None, Quantity("that of the change", "largest change; None: not reached")]
@@ -87,7 +87,7 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class LawError:
-    """How wrong the law of one number may be while all others are right."""
+    """How wrong the law of one number may be while the laws of all other numbers are right."""
 
     mean_shift: Annotated[float, Quantity(DEVIATIONS, "shift of its mean, with confidence")]
     mean_shift_estimate: Annotated[

@@ -151,11 +151,11 @@ def states_in_flight(study: Study, values: Arrays, indices: np.ndarray, samples:
     """
 
     def start(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
-        """The state of one draw before sample 1; traced."""
+        """The state of one draw before sample 1 as a vector, shape (states,); traced."""
         return start_state(study.loop, study.params(values), draw_key(study.config.seed, index))
 
     def advance(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> jax.Array:
-        """The state of one draw after sample k; traced."""
+        """The state of one draw after sample k, from its state before sample k, shape (states,) both; traced."""
         sample = sample_map(study.loop, study.params(values), draw_key(study.config.seed, index), k)
         nothing_added = jnp.zeros(len(place_names(study.loop.channels)), state.dtype)
         next_state, _ = sample(state, nothing_added)

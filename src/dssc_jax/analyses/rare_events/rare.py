@@ -100,18 +100,19 @@ class RareEvent(Analysis):
     failed. The dataset has along ``failure``:
 
     * the value of every uncertain number;
-    * ``point``, its coordinate in standard normal space, along ``number``, too;
+    * ``point``, the coordinates of the failure in standard normal space, along ``number``, too;
     * ``plain``, whether the failure is a plain draw;
-    * ``weight``, the probability that the failure stands for, up to a factor, and ``noise``, the index of its noise.
+    * ``weight``, the probability that the failure stands for, up to a factor;
+    * ``noise``, the index of the in-loop noise; -1 for a plain draw.
 
-    A splitting adds along ``repeat`` its ``estimate`` and its ``levels``. Importance sampling adds along
-    ``design_point`` the ``distance`` from the median draw, ``second_order``, which is SORM's factor, and ``design``,
-    its coordinates, along ``number``, too.
+    A splitting adds along ``repeat`` the ``estimate`` and the number of ``levels`` of each repeat. Importance sampling
+    adds along ``design_point`` the ``distance`` from the median draw, ``second_order``, the ratio of SORM's probability
+    to FORM's, and along ``number``, too, the coordinates ``design``.
 
     Args:
         method: The settings of the method.
         simulations: Number of simulations besides the plain draws.
-        largest: The largest weight that a failing point could be expected to have; 0 for a splitting.
+        largest: Upper bound assumed for the weight of any failing point, used by the interval; 0 for a splitting.
         noisy: Whether the loop has in-loop noise.
         refusal: Why importance sampling gave no answer; empty if it did, or was not tried.
     """

@@ -38,8 +38,8 @@ class Splitting:
 
     Args:
         particles: Number N of particles in each repeat.
-        killed: Number k of particles that die at each level. With 1, the number J of levels before a failure of
-            probability p has a known law: Poisson with mean -N ln p.
+        killed: Number k of particles that die at each level. For k = 1 the number of levels before a failure of
+            probability p has a known law: Poisson with the mean -N ln p.
         moves: Number of moves of a clone's Markov chain at each level.
         repeats: Number of independent repeats, whose scatter gives the interval; at least 10.
         smallest: A repeat stops with the answer 0 when its estimate falls below this probability.

@@ -233,7 +233,7 @@ def rarely_failing(
 
 
 def sole_failure_counts(failed: np.ndarray) -> np.ndarray:
-    """Number of draws on which candidate i fails and candidate j does not, for each pair (i, j), shape (N, N).
+    """For each pair (i, j), the number of draws on which candidate i fails and candidate j does not, shape (N, N).
 
     Args:
         failed: Whether each candidate fails on each draw, shape (N, draws).

@@ -32,7 +32,7 @@ SINGULAR = 1e-10  # relative size of a singular value that counts as 0 in the eq
 
 
 class SobolIndices(NamedTuple):
-    """Sobol indices of an output, each with estimate, lower and upper end; below 0 means about 0.
+    """Sobol indices of an output, each with estimate, lower and upper end; an index of about 0 may be negative.
 
     Args:
         first: First-order indices, shape (factors, 3).

@@ -163,7 +163,7 @@ class Plan:
         )
 
     def smoothed(self) -> Study:
-        """The study used for derivatives: :meth:`trial`, with the first width of the sign if it is to be smoothed."""
+        """The study used for derivatives: :meth:`trial`, with the first width of the sign if ``smoothing`` is set."""
         width = self.table.smoothing
         return self.trial() if width is None else self.trial().override({WIDTH: width})
 

@@ -211,7 +211,7 @@ class Problem:
         return evaluator(indices, lanes | self._width(indices))
 
     def _width(self, indices: np.ndarray) -> Arrays:
-        """The width of the smoothed sign as a number of each lane, shape (lanes,); empty if it is not smoothed."""
+        """The present width of the smoothed sign for each lane, shape (lanes,), by name; empty without smoothing."""
         return {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
 
     def evaluate(self, z: np.ndarray, draws: np.ndarray | None = None) -> EvaluatedPoint:

@@ -61,7 +61,7 @@ class Counterexample:
 
 @dataclass(frozen=True)
 class SearchFacts:
-    """How the search for the tuned numbers went: its method and its end, and what its result meets and misses.
+    """Facts about the search for the tuned numbers: its method, how it ended, and what its result meets and misses.
 
     ``missed`` has the bounds that the result misses, ``aimed`` the proved number if it was optimised, and
     ``counterexamples`` the worst draw after each round.
@@ -193,7 +193,7 @@ class Tuned(Analysis):
     def proved_loop(self) -> dict[str, Any]:
         """The loop that the result's certificate has to prove, in the form of a certificate's file.
 
-        If the last proved value of a number was optimised, it is the loop with this value.
+        If the last value of a number at which the loop is proved was optimised, this is the loop with that value.
         """
         from dssc_jax.proofs.coverage import problem_of
         from dssc_jax.proofs.reach import problem_at
@@ -233,7 +233,7 @@ class Tuned(Analysis):
 
     @property
     def answer(self) -> TunedAnswer:
-        """The tuned numbers, and how they do on fresh draws, as ``summary.json`` has them."""
+        """The tuned numbers, and their comparison with the start on fresh draws, as ``summary.json`` has them."""
         table = tuned_table(self.study)
         gradients = None if self.gradients is None else GradientAnswer(self.gradients, self.gradients.text)
         return TunedAnswer(
@@ -286,7 +286,7 @@ def tuning_dataset(study: Study, history: Sequence[Mapping[str, Any]], costs: Ma
 
 
 def history_quantities(study: Study) -> dict[str, Quantity]:
-    """Unit and meaning of every column that a history may have: those of the search, and the tuned numbers."""
+    """Unit and meaning, by name, of all columns that a history may have: of the search, and the tuned numbers."""
     quantities = {name: Quantity("1", text) for name, text in HISTORY.items()} | study.quantities
     aim = tuned_table(study).aim
     if aim != OBJECTIVE:

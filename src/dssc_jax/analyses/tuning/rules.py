@@ -23,7 +23,7 @@ UNKNOWN_WORDS = ("unknown", "nowhere")  # words in the messages of errors about 
 
 
 def tune_table(study: Study) -> TuneTable:
-    """The ``[tune]`` of a study, after all of its rules are checked.
+    """The table ``[tune]`` of a study, after a check of all rules for it.
 
     Raises:
         ConfigError: The table is missing, or breaks a rule.

@@ -226,7 +226,10 @@ def search_method(plan: Plan, differentiable: bool) -> str:
 
 
 def are_useful(gradients: GradientAgreement) -> bool:
-    """Whether derivatives can be used for descent: enough agree with differences, and enough predict a longer step."""
+    """Whether derivatives can be used for descent.
+
+    A share of at least :data:`USEFUL` has to agree with differences, and such a share to predict a longer step.
+    """
     return min(gradients.useful, gradients.predictive) >= USEFUL
 
 

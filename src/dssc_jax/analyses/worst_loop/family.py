@@ -62,7 +62,7 @@ class LoopFamily:
         return stack_loops([self.cache[self.row_of_point[key]] for key in keys])
 
     def store(self, batch: np.ndarray) -> None:
-        """Linearise the loop at new points and store it in the cache.
+        """Linearise the loop at new points, and store the matrices in the cache.
 
         Args:
             batch: The points, shape (n, sides), n at most :data:`BATCH_POINTS`.
@@ -177,7 +177,7 @@ class BrokenFamily:
 
     @property
     def sample_time(self) -> float:
-        """T_s [s]."""
+        """The sample time T_s of the loop [s]."""
         return self.family.resting.study.config.loop.sample_time
 
     @property

@@ -1,4 +1,7 @@
-"""The linearised loop on parts of the box as a linear function of its numbers, with a bound of the deviations."""
+"""The linearised loop on parts of the box as a linear function of its numbers, with a bound of the deviations.
+
+The bound comes from deviations that are measured at points of the part and widened, so it is no proof.
+"""
 
 import itertools
 from collections.abc import Sequence

@@ -38,9 +38,10 @@ def worst_loop(
     """Find the worst margins of the linearised loop over the box of the laws, and bounds that hold on all of it.
 
     The loop is linearised at its equilibrium, as for :func:`dssc_jax.loop_margins`. Every uncertain number may have any
-    value between the ends of its law, together with any values of the others. A search finds the worst values; the
-    bounds hold for all numbers of the box and at all frequencies. The robust stability factor is the growth of the box
-    about its middle up to which the loop stays stable, 1/mu.
+    value between the ends of its law, together with any values of the others. A search finds the worst values. The
+    bounds cover all numbers of the box and all frequencies. They rest on deviations from a linear dependence that are
+    measured at points and widened, so they are no proof. The robust stability factor is the growth of the box about
+    its middle up to which the loop stays stable, 1/mu.
 
     Args:
         study: The study, or its file; its sweep is ignored.
@@ -163,7 +164,7 @@ def case_with_all_states(
     (place,) = broken.places
 
     def known_states() -> np.ndarray:
-        """Indices of the states of this loop at any point linearised so far."""
+        """Indices of the states that matter for this loop, in a draw or at any point linearised so far."""
         return family.states_at(drawn, place)
 
     def search(loop: BrokenFamily) -> LoopCase:
@@ -177,7 +178,7 @@ def require_sizes(cells: int, points: int | None) -> None:
     """Require admissible numbers of cells and of points.
 
     Raises:
-        ConfigError: A number is too large or not positive.
+        ConfigError: One of the two is too large or not positive.
     """
     if not 0 < cells <= MOST_CELLS:
         raise ConfigError("cells", f"must be within [1, {MOST_CELLS}], got {cells}")

@@ -105,7 +105,7 @@ class WorstWind(Analysis):
         return np.stack([row[f"wind_{axis}"].values for axis in AXES], axis=1)
 
     def numbers(self, signal: str) -> dict[str, float]:
-        """Value of each uncertain number in the worst flight of a signal."""
+        """Value of each uncertain number in the worst flight of a signal, by dotted name."""
         row = self._row(signal)
         return {name: float(row[name]) for name in self.study.laws}
 
@@ -284,10 +284,10 @@ def switching_winds(study: Study, count: int, *, segments: int = SEGMENTS, seed:
 
 
 def wind_limits(study: Study) -> Limits:
-    """The bounds of a study's wind, which must be certain numbers.
+    """The bounds that a study's wind declares; they must be certain numbers.
 
     Raises:
-        ConfigError: The bounds are not known, or uncertain, or the wind never blows.
+        ConfigError: The wind declares no bounds, they are uncertain, or both are 0, so that the wind never blows.
     """
     require_certain_wind(study)
     bounds = study.loop.wind.bounds
