@@ -140,8 +140,8 @@ class LoopMargins(Analysis):
     def values(self, name: str, point: str, loop: str) -> np.ndarray:
         """One margin of every draw, shape (draws,).
 
-        A draw without a stable loop has the worst value, -inf or inf. The margin of a stable loop is inf if the
-        response has no crossing that would define it.
+        A draw without a stable loop has the worst value, -inf or inf. If the response of a stable loop has no crossing
+        that would define the margin, the margin is inf (``gain_lower``: 0).
 
         Args:
             name: Name of the margin.
