@@ -5,7 +5,7 @@ from dssc_jax.study import Study
 
 
 def criterion_of(study: Study) -> tuple[str, ...]:
-    """The conditions for a draw to pass, in words: the requirements; without any, that it stays finite."""
+    """The conditions for a draw to pass, in words: the requirements, or without any, that the draw stays finite."""
     requirements = tuple(requirement.text for requirement in study.requirements)
     return requirements or ("the draw stays finite",)
 

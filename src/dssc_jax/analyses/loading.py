@@ -37,7 +37,7 @@ KINDS = {
 
 
 def class_of(kind: str) -> type[Analysis]:
-    """The class of a kind of analysis, one of :data:`KINDS`."""
+    """Import and return the class of a kind of analysis, which is one of :data:`KINDS`."""
     module, name = KINDS[kind].split(":")
     return getattr(importlib.import_module(module), name)
 
@@ -46,7 +46,7 @@ def kind_in(folder: Path) -> str | None:
     """The kind of analysis that a folder contains; None for a run or a sweep.
 
     Raises:
-        ConfigError: The folder contains neither.
+        ConfigError: The folder does not exist, or contains neither an analysis nor a run nor a sweep.
     """
     if not folder.is_dir():
         raise ConfigError(str(folder), "is no folder")
@@ -80,14 +80,14 @@ def load(folder: str | Path, trust_code: bool = False) -> Loaded:
 
     Args:
         folder: The folder. No code in it is run, see docs/trust.md.
-        trust_code: Import the models that its study names as ``module:object``. They are only needed to simulate again:
-            for :func:`dssc_jax.replay`, :func:`dssc_jax.verify`, or any change of the study.
+        trust_code: Import the models that the stored study names as ``module:object``. They are needed only to simulate
+            again: for :func:`dssc_jax.replay`, :func:`dssc_jax.verify`, or any change of the study.
 
     Returns:
         A :class:`Result` for ``run`` and ``sweep``, else an :class:`Analysis`, equal to the one saved.
 
     Raises:
-        ConfigError: The folder contains none of these, it is damaged, or its run did not finish.
+        ConfigError: The folder contains no result and no analysis, it is damaged, or its run did not finish.
     """
     path = Path(folder)
     kind = kind_in(path)

@@ -24,7 +24,7 @@ class StudySlacks:
 
     Args:
         study: The study, without a sweep.
-        progress: Called with the simulations done; their total is not known beforehand.
+        progress: Called with the number of simulations done, and None since their total is not known beforehand.
     """
 
     def __init__(self, study: Study, progress: ProgressCallback | None) -> None:
@@ -54,14 +54,14 @@ class StudySlacks:
 
 
 class SlackCounter:
-    """Count the evaluations of a :data:`SlackFunction`, and provide indices of in-loop noise not used before.
+    """A slack function that counts its evaluations, and hands out indices of in-loop noise that no point has used.
 
     Args:
         slack: Computes the slacks.
     """
 
     def __init__(self, slack: SlackFunction) -> None:
-        """Start both counts at 0."""
+        """Start the counts of simulations and of noise indices at 0."""
         self.slack = slack
         self.simulations = 0
         self.noise_count = 0  # indices of in-loop noise provided so far

@@ -30,7 +30,7 @@ from dssc_jax.study import Study, takes_file
 class TunedContestAnswer:
     """The contest of controllers whose gains were tuned on equal budgets, with the budget in words.
 
-    In JSON the fields of ``contest`` stand among its own.
+    In JSON the fields of ``contest`` are merged into this object, next to ``budget``.
     """
 
     budget: Annotated[str, Quantity("", "the budget of each controller")]
@@ -39,9 +39,10 @@ class TunedContestAnswer:
 
 @dataclass(frozen=True)
 class ComparisonAnswer:
-    """Controllers with the gains that the study gives, or that follow from it, and with tuned gains.
+    """The answer of a comparison: the contest with given or derived gains, and the contest with tuned gains.
 
-    ``tuned`` is None if nothing was tuned. In JSON the fields of ``corresponding`` stand among its own.
+    The gains of ``corresponding`` are those that the study states for a controller, or else derives for it. ``tuned``
+    is None if nothing was tuned. In JSON the fields of ``corresponding`` are merged into this object.
     """
 
     draws: Annotated[int, Quantity("1", "number of draws")]
@@ -58,10 +59,11 @@ class ComparisonAnswer:
 class Comparison(Analysis):
     """A comparison of controllers with corresponding gains, and with gains tuned on equal budgets.
 
+    Corresponding gains are those that the study states for a controller, or else gains derived from the study's DSSC.
     The dataset has every draw of every controller. Controllers with tuned gains are called NAME_tuned.
 
     Args:
-        corresponding_part: Controllers with the gains that the study gives, or that follow from it.
+        corresponding_part: Controllers with corresponding gains.
         tuned_part: Controllers with the best gains found within the budget; None if nothing was tuned.
         budget: The budget of the tuning; None if nothing was tuned.
         seconds: Computing time [s].
@@ -92,7 +94,7 @@ class Comparison(Analysis):
 
         Args:
             study: The study without its sweep.
-            corresponding: The contest with the gains that the study gives, or that follow from it.
+            corresponding: The contest with corresponding gains.
             tuned: The contest with tuned gains; None if nothing was tuned.
             budget: The budget of the tuning.
             seconds: Computing time [s].
@@ -117,7 +119,7 @@ class Comparison(Analysis):
 
     @cached_property
     def corresponding(self) -> Contest:
-        """The contest with the gains that the study gives, or that follow from it."""
+        """The contest with corresponding gains: stated by the study, or derived from its DSSC."""
         count = len(self.corresponding_part.tables)
         return self.corresponding_part.contest(self.dataset.isel(controller=slice(count)))
 
@@ -137,7 +139,7 @@ class Comparison(Analysis):
         return f"failures in {self.dataset.sizes['draw']:,} draws: {', '.join(counts)}"
 
     def figure(self) -> Figure:
-        """Plot the controllers' failure probabilities, and their differences from the first one draw by draw."""
+        """Plot each controller's failure probability, and its difference from the first controller's, draw by draw."""
         return plotting.comparison(self)
 
     @property
@@ -170,10 +172,11 @@ def compare(
     """Compare controllers on common draws and common noise.
 
     Args:
-        study: The study, or its file; its own sweep is ignored. Gains: see :func:`controller_table`.
+        study: The study, or its file; its own sweep is ignored. :func:`controller_table` tells where gains come from.
         controllers: At least two names.
-        candidates: Number of candidate gains to try for each controller; fresh draws decide. 0: no tuning.
-        tuning_draws: Draws on which each candidate is tried.
+        candidates: Number of sets of gains to try for each controller; fresh draws compare the tuned controllers. 0: no
+            tuning.
+        tuning_draws: Number of draws on which each set of gains is tried.
         progress: Called with the runs and tunings done, and their total.
 
     Raises:
@@ -190,7 +193,7 @@ def compare(
     require_independent(study, "a comparison")
     study, tables, studies = Contestants.of(study, controllers)
     step_numbers = itertools.count(1)
-    steps_of_controller = 3 if candidates else 1  # a run; then the tuning, and a run with its gains
+    steps_of_controller = 3 if candidates else 1  # a run, a tuning, and a run with the tuned gains; or a run alone
     total = len(tables) * steps_of_controller
 
     def report_step() -> None:
@@ -216,7 +219,7 @@ def compare(
 
 
 def ranges_by_controller(studies: Mapping[str, Study]) -> dict[str, dict[str, tuple[float, float]]]:
-    """The range of each gain to tune, by controller; empty for a controller without a gain that can be tuned.
+    """The range of each gain to tune, by controller and dotted name; empty for a controller with no tunable gain.
 
     Args:
         studies: The study with each controller.

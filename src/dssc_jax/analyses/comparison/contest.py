@@ -21,7 +21,7 @@ from dssc_jax.study import Study
 
 @dataclass(frozen=True)
 class MetricDifference:
-    """The difference of a metric between two controllers: the median over the draws, each flown with both."""
+    """The median of the difference of a metric, a minus b, over draws that two controllers a and b both flew."""
 
     difference: Annotated[float, Quantity("that of the metric", "median of the metric of a minus that of b")]
     interval: Annotated[tuple[float, float], Quantity("that of the metric", "interval of that median")]
@@ -29,7 +29,7 @@ class MetricDifference:
 
 @dataclass(frozen=True)
 class ControllerPair:
-    """Two controllers a and b on the same draws: how much more often a fails than b."""
+    """Comparison of two controllers a and b on the same draws: how much more often a fails than b."""
 
     a: Annotated[str, Quantity("", "one controller")]
     b: Annotated[str, Quantity("", "the other controller")]
@@ -128,7 +128,13 @@ class Contest(NamedTuple):
         return ContestAnswer(controllers, self.pairs(study, confidence))
 
     def controller_answer(self, name: str, study: Study, confidence: float) -> ControllerAnswer:
-        """Failures, violations and median metrics of one controller; arguments as of :meth:`answer`."""
+        """Failures, violations and median metrics of one controller.
+
+        Args:
+            name: Name of the controller in the comparison.
+            study: The study, which names the metrics and requirements.
+            confidence: Confidence of the interval of the failure probability.
+        """
         data = self.dataset.sel(controller=name)
         failures = int(data["failed"].sum())
         draws = data.sizes["draw"]
@@ -153,7 +159,9 @@ class Contest(NamedTuple):
 
 
 def common_variables(runs: Sequence[xr.Dataset]) -> tuple[list[Hashable], list[Hashable]]:
-    """Names of the uncertain numbers, and of the other variables, that the results of all controllers have.
+    """Find the variables that the results of all controllers have, and split their names into two lists.
+
+    The first list names the uncertain numbers, the second list all other variables, such as metrics.
 
     Args:
         runs: The dataset of each controller's run; an uncertain number has its ``law`` as an attribute.
@@ -171,11 +179,11 @@ def common_variables(runs: Sequence[xr.Dataset]) -> tuple[list[Hashable], list[H
 
 
 class ContestPart(NamedTuple):
-    """A contest without its data, which the dataset of the comparison has; it is stored with the comparison.
+    """What the dataset of a comparison does not say of one of its contests; stored beside that dataset.
 
     Args:
         tables: The ``[controller]`` table of each controller.
-        variables: Names of the contest's variables in that dataset.
+        variables: Names of the contest's variables in the dataset of the comparison.
     """
 
     tables: dict[str, ControllerTable]
@@ -183,14 +191,14 @@ class ContestPart(NamedTuple):
 
     @classmethod
     def of(cls, contest: Contest) -> "ContestPart":
-        """Take the tables and the variables' names from a contest."""
+        """Keep the tables of a contest and the names of its variables, without its data."""
         return cls(contest.tables, tuple(map(str, contest.dataset)))
 
     def contest(self, dataset: xr.Dataset) -> Contest:
         """Restore the contest with its data.
 
         Args:
-            dataset: The rows of the comparison's dataset that belong to these controllers, in their order.
+            dataset: The rows of the comparison's dataset that belong to these controllers, in the order of ``tables``.
         """
         labelled = dataset.assign_coords(controller=controller_axis(self.tables))
         return Contest(self.tables, labelled[list(self.variables)])

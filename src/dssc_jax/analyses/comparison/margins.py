@@ -29,7 +29,7 @@ from dssc_jax.study.code import code_names
 
 @dataclass(frozen=True)
 class MarginPair:
-    """Two controllers a and b on the same draws: on how many draws each goes further than the other."""
+    """Two controllers a and b on the same draws: on how many draws each passes further along the walk."""
 
     a: Annotated[str, Quantity("", "one controller")]
     b: Annotated[str, Quantity("", "the other controller")]
@@ -63,7 +63,7 @@ class MarginContest(Analysis):
     The dataset is that of :class:`dssc_jax.analyses.margins.Margins`, with the additional dimension ``controller``.
 
     Args:
-        parts: What the dataset does not say of the margins, by controller.
+        parts: The settings and units of the margins that the dataset does not contain, by controller.
         tables: The ``[controller]`` table of each controller.
         seconds: Computing time [s].
     """
@@ -88,14 +88,15 @@ class MarginContest(Analysis):
         """
         dataset = join_margins(margins, "controller", "controller")
         contest = cls(study, dataset, margin_parts(margins), tables, seconds)
-        contest.margins = margins  # in place of those that the property would read from the dataset
+        contest.margins = margins  # fills the cached property, which would otherwise read them from the dataset
         return contest
 
     @classmethod
     def load(cls, folder: str | Path, trust_code: bool = False) -> Self:
         """Load a contest from a folder; see :meth:`Analysis.load`.
 
-        The stored controllers may name no code that the stored study does not name.
+        Raises:
+            ConfigError: The folder is damaged, or a stored controller names code that the stored study does not name.
         """
         description = read_description(Path(folder), cls.kind)
         require_no_foreign_code(description["source"], description["study"], description["settings"].get("tables"))
@@ -107,16 +108,16 @@ class MarginContest(Analysis):
         return split_margins(self.dataset, "controller", self.parts, self.study_of)
 
     def study_of(self, controller: str) -> Study:
-        """The study with one of the controllers; the study itself if its code is not loaded."""
+        """The study with one of the controllers; the study itself if the code it names is not loaded."""
         if isinstance(self.study, Described):
             return self.study
         return with_controller(self.study, controller, self.tables[controller])
 
     def pairs(self, confidence: float = CONFIDENCE) -> list[MarginPair]:
-        """Compare every two controllers a and b: on how many draws one passes further along the walk than the other.
+        """Compare every two controllers a and b: on how many draws each passes further along the walk than the other.
 
-        A walk leads from the safe value of the number to the other end. Draws on which both are censored alike are
-        ties. Interval and test are exact for paired draws.
+        The walk leads from the safe end of the number's range to the other end. A draw is a tie if both controllers
+        fail at the start of the walk, or both pass to its end. Interval and test are exact for paired draws.
 
         Args:
             confidence: Confidence of each interval.
@@ -169,9 +170,10 @@ class MarginContest(Analysis):
 
 
 def require_no_foreign_code(source: str, study: TomlTable, tables: object) -> None:
-    """Require that stored controllers name only code that their study names; called before anything is imported.
+    """Require that stored controllers name only code that their study names, too.
 
-    A folder is loaded with the trust that its study has, so an altered table of controllers must add no code to it.
+    The user trusts the code that the study names. An altered table of controllers must not add other code, so this
+    check runs before anything is imported.
 
     Args:
         source: Name of the file, for the message.
@@ -219,7 +221,7 @@ def compare_margins(
     margins: dict[str, Margins] = {}
 
     def advance(finished_lanes: int, _: int | None) -> None:
-        """Report the lanes done for all controllers, from those done for the present one."""
+        """Report the lanes done for all controllers; the argument counts those of the present controller alone."""
         if progress:
             progress(len(margins) * lanes + finished_lanes, len(studies) * lanes)
 

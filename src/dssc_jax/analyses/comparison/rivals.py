@@ -48,31 +48,35 @@ class RivalName(NamedTuple):
 
 
 def rival_names() -> dict[str, RivalName]:
-    """All controllers that a comparison can name: each kind, each of its sampled forms, and with a limited command."""
+    """All names that a comparison can use, with the controller of each.
+
+    A name is a kind (``sta``), a kind with a sampled form (``sta_proper``), or a kind with ``limited``
+    (``sta_limited``).
+    """
     names = {}
     for kind, entry in CONTROLLERS.items():
         names[kind] = RivalName(kind)
         for form in entry.members:
-            if form:  # None: the kind has only one
+            if form:  # a kind with a single sampled form has no name for the form
                 names[f"{kind}_{form}"] = RivalName(kind, form=str(form))
         names[f"{kind}_{LIMITED}"] = RivalName(kind, limited=True)
     return names
 
 
 def switching_kinds() -> list[str]:
-    """Kinds of controller that declare a describing function: their switching sustains oscillations."""
+    """Kinds of controllers that declare a describing function, because their switching sustains oscillations."""
     return [kind for kind, entry in CONTROLLERS.items() if entry.default_member.describing is not None]
 
 
 def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
-    """The study with a table ``[compare.NAME]`` for each controller of a user's own, NAME being ``module:OBJECT``.
+    """Add a table ``[compare.NAME]`` to the study for each controller of a user's own, named ``module:OBJECT``.
 
-    A stored comparison then tells, like any study, which code it refers to. If the study has a ``[compare.NAME]``
-    already, its gains are kept.
+    The stored study then names all code that the comparison refers to. If the study already has a ``[compare.NAME]``
+    without ``kind``, the added table keeps its gains.
 
     Args:
         study: The study.
-        names: Names of all controllers of the comparison.
+        names: Names of all controllers of the comparison; only those with a colon are a user's own.
     """
     added_tables = {}
     for name in names:
@@ -86,16 +90,15 @@ def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
 
 
 def controller_kinds(study: Study) -> str:
-    """The kind of the study's controller, or the kinds of its channels if they differ, as one text."""
+    """The kind of the study's controller as a text; the kinds joined by commas if channels have different ones."""
     kinds = dict.fromkeys(kind_in(study.config, "controller", channel) for channel in study.loop.channels)
     return ", ".join(kinds)
 
 
 def common_gains(study: Study, name: str) -> ControllerTable:
-    """The gains that the study's controller and a user's own controller have in common, by key.
+    """The study's error pole ``l0`` and nominal control ``nominal``, for a user's own controller that has such gains.
 
-    They are the error pole ``l0`` and the nominal control ``nominal``, as far as the user's controller has them. The
-    gains of one channel are in a table under its name.
+    The gains are returned by key. Gains that the study states for one channel are in a table under the channel's name.
 
     Args:
         study: The study.
@@ -104,7 +107,7 @@ def common_gains(study: Study, name: str) -> ControllerTable:
     controller = study.config.controller
     with errors_under(f"compare.{name}"):
         forms = lookup(name, CONTROLLERS).members
-        own_controller = next(iter(forms.values()))  # its only form
+        own_controller = next(iter(forms.values()))  # a user's own controller has only one form
         fields = field_specs(own_controller.params)
     common = [key for key in COMMON_GAINS if key in fields]
     gains = {key: controller[key] for key in common if key in controller}
@@ -119,13 +122,16 @@ def common_gains(study: Study, name: str) -> ControllerTable:
 def controller_table(study: Study, name: str) -> ControllerTable:
     """The ``[controller]`` table of a controller in a comparison.
 
-    The study's ``[compare.NAME]`` has priority. It is a whole controller if it states another kind than the study's.
-    Otherwise it has changes: of the controller that NAME denotes without a table, where NAME is a kind, else of
-    ``[controller]``.
+    Without a table ``[compare.NAME]`` in the study, the name denotes a controller of :func:`corresponding_table`. If
+    the study has such a table, there are three cases:
+
+    * The table has no ``kind``, and NAME is in :func:`rival_names`: the table changes gains of that controller.
+    * The table has another kind than the study's controller: the table is the whole controller.
+    * Otherwise the table changes gains of the study's ``[controller]``.
 
     Args:
         study: The study.
-        name: Name of the table, or kind of controller, optionally with a sampled form or ``limited`` to rho.
+        name: NAME of a table ``[compare.NAME]``, or a name of :func:`rival_names`.
 
     Raises:
         ConfigError: There is no such controller, or its gains do not follow from the study's own.
@@ -143,9 +149,14 @@ def controller_table(study: Study, name: str) -> ControllerTable:
 
 
 def corresponding_table(study: Study, name: str) -> ControllerTable:
-    """The table of a controller that has no ``[compare.NAME]``: the study's own, or derived from DSSC.
+    """The ``[controller]`` table that a name denotes by itself: the study's own, or one derived from DSSC.
 
-    A user's own controller has such a table; see :func:`with_own_controllers`.
+    A table ``[compare.NAME]`` of the study is not read here.
+
+    Args:
+        study: The study.
+        name: The kind of the study's controller, or a name of :func:`rival_names`. Any other controller of a user's own
+            has a table ``[compare.NAME]``, which :func:`with_own_controllers` adds.
 
     Raises:
         ConfigError: There is no such controller, or its gains do not follow from the study's own.
@@ -168,9 +179,9 @@ def corresponding_table(study: Study, name: str) -> ControllerTable:
 
 
 def table_with_changes(study: Study, name: str, changes: ControllerTable) -> ControllerTable:
-    """The table of a controller whose name states its kind, with the changes of a ``[compare.NAME]`` that states none.
+    """The table of a controller whose name states its kind, with the changes that ``[compare.NAME]`` makes.
 
-    If the controller's gains do not follow from the study's own, the changes are all of its gains.
+    If the controller's gains cannot be derived from the study's own, the changes have to state all of its gains.
 
     Args:
         study: The study.
@@ -178,7 +189,8 @@ def table_with_changes(study: Study, name: str, changes: ControllerTable) -> Con
         changes: The table ``[compare.NAME]``, which states no kind.
 
     Raises:
-        ConfigError: The gains do not follow, and there are no changes, or a limited controller gets no limit.
+        ConfigError: The gains cannot be derived, and either ``changes`` is empty, or it lacks the limit of a
+            controller whose name says ``limited``.
     """
     rival = rival_names()[name]
     try:
@@ -206,10 +218,11 @@ def derive_table(study: Study, name: str, kind: str) -> ControllerTable:
     Args:
         study: The study.
         name: Name of the controller in the comparison, for messages.
-        kind: Kind of the controller.
+        kind: Kind of the controller that gets the gains.
 
     Raises:
-        ConfigError: The gains do not follow from the study's own.
+        ConfigError: The study's controller is not DSSC, the other kind has no rule for its gains, or DSSC's functions
+            have uncertain parameters.
     """
     controller = study.config.controller
     from_dssc = CONTROLLERS[kind].default_member.from_dssc
@@ -235,7 +248,10 @@ def derive_table(study: Study, name: str, kind: str) -> ControllerTable:
 
 
 def require_numbers(gains: DsscGains) -> None:
-    """Require that no parameter of DSSC's functions is uncertain, since a rival's gains are derived as numbers.
+    """Require that no parameter of DSSC's functions is uncertain, since the gains derived from them are plain numbers.
+
+    Args:
+        gains: The gains of one channel's DSSC.
 
     Raises:
         ConfigError: A parameter has a law.
@@ -288,12 +304,13 @@ def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
 
 
 def missing_pair_rule(study: Study, table: ControllerTable) -> str:
-    """The message for a controller that lacks a number which the study correlates with another; empty if it lacks none.
+    """The error message if a controller lacks a number that ``[correlation]`` names; otherwise an empty string.
 
-    Without the pair, the numbers of the other controllers would have other draws. So it is not left out silently.
+    Such a pair of correlated numbers is not dropped silently, since the other controllers would then get other draws.
+
     Args:
         study: The study.
-        table: The ``[controller]`` table.
+        table: The ``[controller]`` table of the controller.
     """
     correlation = study.config.correlation
     try:
@@ -301,7 +318,7 @@ def missing_pair_rule(study: Study, table: ControllerTable) -> str:
     except ConfigError:
         return ""
     for pair in correlation:
-        for gain in correlated_names({pair: 0.0}):  # the names alone matter, no coefficient
+        for gain in correlated_names({pair: 0.0}):  # only the names matter, so any coefficient will do
             if gain not in free.laws:
                 return (
                     f'has no uncertain number {gain}, which correlation."{pair}" ties to another, and all controllers '
@@ -326,14 +343,15 @@ class Contestants(NamedTuple):
 
     @classmethod
     def of(cls, study: Study, controllers: Sequence[str]) -> "Contestants":
-        """Find the tables of the controllers with some names, and put each into the study.
+        """Find the table of each named controller, and put each into the study.
 
         Args:
             study: The study; its sweep is ignored.
-            controllers: Two different names or more.
+            controllers: Names of the controllers, at least two and all different.
 
         Raises:
-            ConfigError: There are fewer, one is named twice or unknown, or a controller does not fit the study.
+            ConfigError: There are fewer than two names, a name is repeated or unknown, or a controller does not fit
+                the study.
         """
         names = list(controllers)
         has_repetition = len(set(names)) < len(names)

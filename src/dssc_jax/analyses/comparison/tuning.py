@@ -45,6 +45,11 @@ class Tuning:
     def of(cls, study: Study, candidates: int = CANDIDATES, draws: int = TUNING_DRAWS) -> "Tuning":
         """Create a budget whose draws differ from the study's.
 
+        Args:
+            study: The study, for its seed.
+            candidates: Number of sets of gains that are tried.
+            draws: Draws on which each candidate is tried.
+
         Raises:
             ConfigError: A count is out of range.
         """
@@ -67,18 +72,19 @@ class Tuning:
 def gain_ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
     """The range of each gain to tune, by dotted name.
 
-    Without a request these are the controller's usual gains (``tunable``), each from a tenth to ten times its value.
-    Gains that follow from parameters, have a law or are not positive are left out.
+    If no range is requested, the gains are those that the controller declares as ``tunable``, each from a tenth to ten
+    times its value. Gains that follow from parameters, have a law or are not positive are left out.
 
     Args:
         study: The study with the controller.
-        requested: ``[compare.NAME.tune]``: ranges by the gains' names within the controller.
+        requested: The table ``[compare.NAME.tune]``: a range (low, high) for the name of each gain within the
+            controller; empty: no request.
 
     Returns:
         Lowest and highest value of each gain; empty if none can be tuned.
 
     Raises:
-        ConfigError: A range is not valid.
+        ConfigError: A requested range does not satisfy 0 < low < high.
     """
     extents = {}
     for name, extent in requested.items():
@@ -96,19 +102,19 @@ def gain_ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[f
 
 
 def usual_gains(study: Study) -> Sequence[str]:
-    """Names of the gains that the study's controller declares as usually tuned, within ``[controller]``."""
+    """Names within ``[controller]`` of the gains that the study's controller declares as usually tuned."""
     controller = study.loop.controller[0]  # a plant of several channels is not tuned
     return controller.tunable_gains(study.template.controller[0])
 
 
 def untuned_reason(study: Study, controller: str) -> str:
-    """Why :func:`gain_ranges` finds no gain to tune, in words, with other numbers that a range can be stated for.
+    """Explain in words why :func:`gain_ranges` finds no gain to tune, and name numbers that could be tuned instead.
 
     Args:
         study: The study with the controller.
         controller: Name of the controller in the comparison.
     """
-    numbers = {}  # of the controller that may have laws, by their names within [controller]
+    numbers = {}  # the controller's numbers that may have a law, by their names within [controller]
     for number in study.numbers.values():
         section, _, name = number.name.partition(".")
         if section == "controller" and number.quantity.law:
@@ -128,7 +134,10 @@ def untuned_reason(study: Study, controller: str) -> str:
 
 
 def untuned_cause(number: Number | None) -> str:
-    """Why a number has no range from a tenth to ten times its value, in words; empty if it has one."""
+    """Explain in words why a number gets no range from a tenth to ten times its value; empty if it gets one.
+
+    None stands for a gain that the controller declares, but the study does not give.
+    """
     if number is None:
         return "is not given"
     if number.expression is not None:
@@ -168,9 +177,9 @@ def best_gains(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, 
 
 
 def derived_medians(study: Study, names: Iterable[str]) -> dict[str, float]:
-    """The median of each named number that follows from an expression.
+    """The median of each named number that follows from an expression, by dotted name.
 
-    As an override it replaces the expression, so that a search can vary the number itself.
+    As an override of the study, the median replaces the expression, so that a search can vary the number directly.
     """
     medians = {}
     for name in names:
@@ -183,9 +192,9 @@ def derived_medians(study: Study, names: Iterable[str]) -> dict[str, float]:
 def candidate_scores(
     evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np.ndarray
 ) -> list[tuple[int, float]]:
-    """The score of each candidate: its number of failed draws, then minus a low quantile of its worst slack.
+    """The score of each candidate: a pair of its number of failed draws and minus a low quantile of its worst slack.
 
-    Scores are compared as tuples: fewer failures are better, and among equals a larger slack.
+    The smallest pair is the best: fewer failures decide, and between equal numbers of failures a larger slack.
 
     Args:
         evaluator: The compiled study.
@@ -211,9 +220,13 @@ def candidate_scores(
 
 
 def slack_or_metric(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """What a tuning maximises in each lane: the worst slack; without requirements, minus the first metric.
+    """The quantity that a tuning maximises in each lane: the worst slack of the study's requirements.
 
-    A draw without the metric has minus infinity.
+    Without requirements it is minus the first metric; a draw that lacks the metric gets minus infinity.
+
+    Args:
+        study: The study, for its requirements and metrics.
+        results: Results of the lanes by name, all of one shape, which is also the shape returned.
     """
     if study.requirements or not study.measures:
         return worst_slack(study.requirements, results)
@@ -224,10 +237,10 @@ def slack_or_metric(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarr
 def candidate_points(
     study: Study, extents: Mapping[str, tuple[float, float]], count: int, seed: int
 ) -> dict[str, np.ndarray]:
-    """Candidates for the values of some numbers, shape (count,) each.
+    """Values of some numbers for each of several candidates, by dotted name, shape (count,) each.
 
-    The first candidate has the study's own values, where it has them. The others are scrambled Sobol points that are
-    even in the logarithm.
+    The first candidate takes the study's own values, clipped to the ranges, except for numbers with a law or an
+    expression. All other values are scrambled Sobol points, spread evenly in the logarithm of each range.
 
     Args:
         study: The study.
@@ -249,11 +262,11 @@ def candidate_points(
 
 
 def with_gains(table: TomlTable, gains: Mapping[str, float]) -> TomlTable:
-    """The ``[controller]`` table with other gains.
+    """A copy of a ``[controller]`` table with other gains.
 
     Args:
-        table: The table, which stays as it is.
-        gains: The gains by their dotted names in the study, from ``controller.`` on.
+        table: The table, which is not modified.
+        gains: The new gains by their dotted names in the study, which begin with ``controller.``.
     """
     holder = {"controller": copy.deepcopy(table)}
     for name, value in gains.items():

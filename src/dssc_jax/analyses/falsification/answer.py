@@ -13,7 +13,7 @@ from dssc_jax.statistics import Likelihood
 
 @dataclass(frozen=True)
 class LikelihoodAnswer:
-    """How likely a draw is: its distance from the median draw, and the density and probability that follow."""
+    """How likely a draw is: its distance from the median draw, the density there, and the probability within."""
 
     distance: Annotated[float, Quantity("1", "distance from the median draw in standard normal scores")]
     log_density: Annotated[float, Quantity("1", "logarithm of the scores' density relative to the mode")]
@@ -22,7 +22,7 @@ class LikelihoodAnswer:
 
 @dataclass(frozen=True)
 class PointAnswer:
-    """A simulated draw: its slack, how it fails, its numbers and its likelihood."""
+    """The answer for a simulated draw: its slack, how and when it fails, its uncertain numbers and its likelihood."""
 
     slack: Annotated[float, Quantity("1", "slack of the worst requirement, relative to its bound")]
     worst_requirement: Annotated[str | None, Quantity("", "the worst requirement; None if the draw ends early")]
@@ -37,10 +37,10 @@ class PointAnswer:
 
 @dataclass(frozen=True)
 class FalsifiedAnswer:
-    """The worst draw found, and of all failures found the one nearest to the median draw.
+    """The worst draw found, and the failure found nearest to the median draw.
 
-    ``within`` is the distance within which the search stayed; None: the whole support. ``nearest_failure`` is None if
-    no draw failed. In JSON the fields of ``worst`` stand among its own.
+    ``within`` is the distance from the median draw within which the search stayed; None: it searched the whole
+    support. ``nearest_failure`` is None if no draw failed. In JSON the fields of ``worst`` are merged into this object.
     """
 
     within: LikelihoodAnswer | None
@@ -57,7 +57,7 @@ class FalsifiedAnswer:
 
 
 def value_text(requirement: Requirement, slack: float) -> str:
-    """The value of a required metric with its unit, from its slack.
+    """Format the value of a required metric with its unit, computed from its slack.
 
     Args:
         requirement: The requirement.
@@ -73,5 +73,5 @@ def value_text(requirement: Requirement, slack: float) -> str:
 
 
 def likelihood_answer(likelihood: Likelihood) -> LikelihoodAnswer:
-    """Distance of a draw from the median draw, its log density, and the probability of lying at most that far."""
+    """Convert a likelihood to an answer: distance from the median draw, log density, and probability within."""
     return LikelihoodAnswer(likelihood.distance, likelihood.log_density, likelihood.mass)

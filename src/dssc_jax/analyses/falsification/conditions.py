@@ -14,6 +14,10 @@ NOTHING_TO_SEARCH = (
 def require_falsifiable(study: Study, budget: int) -> None:
     """Require a study in which a search can find a failing draw, and an admissible number of simulations.
 
+    Args:
+        study: The study.
+        budget: Number of simulations of the search.
+
     Raises:
         ConfigError: Nothing is uncertain, nothing is required, or the budget is out of range.
     """
@@ -26,7 +30,11 @@ def require_falsifiable(study: Study, budget: int) -> None:
 
 
 def require_label(study: Study, requirement: str) -> None:
-    """Require that a label is empty, so that all requirements count, or names a requirement of the study.
+    """Require a label that names a requirement of the study, or an empty label.
+
+    Args:
+        study: The study.
+        requirement: Label of the only requirement that counts; empty: all count.
 
     Raises:
         ConfigError: The study has no requirement with this label.
@@ -38,9 +46,9 @@ def require_label(study: Study, requirement: str) -> None:
 
 
 def without_other_margins(study: Study, requirement: str) -> Study:
-    """The study without required margins, if the only requirement that counts bounds no margin.
+    """Remove required margins from the study if only one requirement counts, and it does not bound a margin.
 
-    A margin costs more time than many flights, so a search does not compute margins that it ignores.
+    A margin costs more time than many flights, so a search does not compute margins that it would ignore.
 
     Args:
         study: The study.

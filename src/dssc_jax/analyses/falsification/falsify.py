@@ -2,8 +2,8 @@
 
 The search uses standardised coordinates (:mod:`dssc_jax.analyses.falsification.search_sets`): the quantile levels of
 the laws, or their standard normal scores. Every draw comes with its likelihood, from the same scores. Knots of a
-disturbance or a wind that is a ``spline`` are treated like other numbers, so signals need no special treatment. In-
-loop noise is that of draw 0, and the likelihood leaves it out.
+disturbance or a wind that is a ``spline`` are treated like other numbers, so signals need no special treatment. All
+points have the in-loop noise of draw 0, which the likelihood leaves out.
 """
 
 import time
@@ -53,13 +53,15 @@ class Falsified(Analysis):
     The dataset has along ``point``, one simulated draw each:
 
     * the uncertain numbers, and the slack of every requirement in its metric's unit, by their names;
-    * ``slack``, that of the worst requirement relative to its bound, negative if the draw fails; for a bound of 0 it
-      is relative to the median slack of the first points;
-    * ``binding``, the index of that requirement, and ``distance_to_bound``, its slack in the metric's unit;
-    * ``ended``, the outcome code of a draw that ended early, else 0, and ``failed_at``, when it did [s];
-    * ``first``, the index of the requirement that is violated first, else -1, and ``violated_at``, when it is [s];
+    * ``slack``, the slack of the worst requirement relative to its bound, negative if the draw fails; for a bound of 0
+      relative to the median slack of the first points;
+    * ``binding``, the index of the worst requirement, and ``distance_to_bound``, its slack in the metric's unit;
+    * ``ended``, the outcome code of a draw that ended early, else 0, and ``failed_at``, the time of this end [s];
+    * ``first``, the index of the requirement that is violated first, else -1, and ``violated_at``, the time of that
+      violation [s];
     * ``distance``, ``log_density`` and ``mass``, the likelihood (:class:`dssc_jax.statistics.Likelihood`);
-    * ``simulations``, the number spent so far. A simulation with derivatives counts once, and once more for each.
+    * ``simulations``, the number of simulations spent so far. A simulation with derivatives by d numbers counts as
+      1 + d simulations.
 
     Args:
         within: Distance from the median draw within which the search stayed, in sigma; None for the whole support.
@@ -140,14 +142,14 @@ class Falsified(Analysis):
 
     @property
     def likelihood(self) -> Likelihood:
-        """How likely the draw of the worst point is."""
+        """Likelihood of the draw at the worst point."""
         return self.likelihood_at(self.worst)
 
     @property
     def nearest_failure(self) -> int | None:
-        """Index of the simulated failure nearest to the median draw in standard normal scores, and so the likeliest.
+        """Index of the likeliest simulated failure: the one nearest to the median draw in standard normal scores.
 
-        None if no simulated point failed. The nearest failure of all, the design point, is at most this far.
+        None if no simulated point failed. The true nearest failure (the design point) is no farther than this one.
         """
         failed = self.dataset["slack"].values < 0.0
         if not failed.any():
@@ -160,7 +162,7 @@ class Falsified(Analysis):
         return {name: float(self.dataset[name][point]) for name in self.study.laws}
 
     def likelihood_at(self, point: int) -> Likelihood:
-        """How likely the draw of a simulated point is."""
+        """Likelihood of the draw at a simulated point, given by its index."""
         return Likelihood(float(self.dataset["distance"][point]), len(self.study.laws))
 
     @property
@@ -169,18 +171,18 @@ class Falsified(Analysis):
         return float(self.dataset["slack"][self.worst])
 
     def binding_requirement_at(self, point: int) -> Requirement | None:
-        """Return the worst requirement of a point; None if its draw ends early, which violates all of them."""
+        """Return the worst requirement of a point; None if its draw ends early, which violates all requirements."""
         if self.dataset["ended"].values[point] != RAN_TO_END:
             return None
         return self.study.requirements[int(self.dataset["binding"][point])]
 
     def binding_at(self, point: int) -> str | None:
-        """Name the worst requirement of a point, in words; None if its draw ends early, which violates all of them."""
+        """Describe the worst requirement of a point in words; None if its draw ends early, so that none stands out."""
         requirement = self.binding_requirement_at(point)
         return None if requirement is None else requirement.short_text
 
     def value_at(self, point: int) -> str | None:
-        """Format the metric of the worst requirement of a point, with its unit; None if its draw ends early."""
+        """Format the metric that the worst requirement of a point bounds, with its unit; None: the draw ends early."""
         requirement = self.binding_requirement_at(point)
         if requirement is None:
             return None
@@ -237,14 +239,14 @@ class Falsified(Analysis):
 
     @property
     def witness_study(self) -> Study:
-        """The study whose only draw is the worst one: numbers replace the laws, and no design of draws is left."""
+        """The study whose only draw is the worst one: numbers replace the laws, and no table designs other draws."""
         table = {name: value for name, value in self.study.table.items() if name not in DESIGN}
         study_of_one_draw = Study.from_table({**table, "draws": 1}, self.study.source)
         return study_of_draw(study_of_one_draw, self.witness)
 
     @property
     def headline(self) -> str:
-        """Whether the worst draw fails, how far it is from the median draw, and what it does, in one line."""
+        """One line that says whether the worst draw fails, how far it is from the median draw, and how it behaves."""
         value = self.value_at(self.worst)
         course = self.ending_at(self.worst)
         if value is not None:
@@ -282,7 +284,7 @@ class Falsified(Analysis):
         )
 
     def point_answer(self, point: int) -> PointAnswer:
-        """Slack, numbers and likelihood of the draw of a simulated point, and how it fails."""
+        """The answer for one simulated point, given by its index: its draw's slack, failure, numbers and likelihood."""
         ending = self.ending_at(point)
         first = self.first_at(point)
         return PointAnswer(
@@ -311,13 +313,14 @@ def falsify(
 ) -> Falsified:
     """Find the worst draw of a study, by the worst requirement's signed slack.
 
-    By default the search covers the support of the laws. With ``within_sigma`` = k it stays where |z| <= k, z being the
-    independent standard normal scores of the laws and of their Gaussian copula: the smallest region of the scores with
-    its probability P(chi^2_d <= k^2) for d numbers; with ``within_mass`` that probability is given instead of k.
+    By default the search covers the support of the laws. With ``within_sigma`` = k the search stays in the ball
+    |z| <= k, where z are the independent standard normal scores of the laws and of their Gaussian copula. For d numbers
+    the ball has the probability P(chi^2_d <= k^2), and no smaller region of the scores has the same probability. With
+    ``within_mass`` this probability is given instead of k.
 
-    A quarter of the budget is spread over the set, and half of it climbs from the worst points along projected
-    gradients, unless a controller is native code. The rest is differential evolution among the worst of all points. A
-    draw that ends early counts as worst.
+    A quarter of the budget is spread over the set. Half of the budget follows projected gradients from the worst of
+    these points, unless a controller is native code, which has no derivatives. The rest goes to differential evolution,
+    which starts from the worst of all points. A draw that ends early counts as worst.
 
     Args:
         study: The study, or its file; its own sweep is ignored. Unbounded laws are cut off at their 1e-6 quantiles.
@@ -325,8 +328,8 @@ def falsify(
         seed: Seed of the search.
         within_sigma: Distance k from the median draw within which to search, in (0, 8].
         within_mass: Probability of the draws among which to search, in (0, 1); instead of ``within_sigma``.
-        requirement: Label of the only requirement that counts, as in results; empty: the worst of all counts. Required
-            margins are left out where they do not count.
+        requirement: Label of the only requirement that counts, as in results; empty: the worst of all counts. If the
+            label is not that of a margin, required margins are not computed.
         progress: Called with the simulations spent.
 
     Raises:

@@ -34,12 +34,12 @@ SHORTER = 0.3  # factor of a step after failure
 MEMBERS_PER_COORDINATE = 4  # members of the evolution, for each coordinate
 LEAST_MEMBERS = 8  # members of the evolution in any case
 GENERATION_COST = 20  # a generation takes at most one part in so many of the budget
-LARGEST_COST = 1e100  # of the evolution, in place of infinity
-RAN_TO_END = 0  # in place of the outcome code of an early end
+LARGEST_COST = 1e100  # largest size of a cost in the evolution, in place of infinity
+RAN_TO_END = 0  # value of a draw that did not end early, in place of an outcome code
 
 
 class SearchPrograms(NamedTuple):
-    """The compiled study, shared by all searches with one budget; each program compiles on first use.
+    """The compiled programs of a study, shared by all searches with one budget; each compiles on first use.
 
     Args:
         study: The study without a sweep.
@@ -66,7 +66,7 @@ class SearchPrograms(NamedTuple):
 
 
 def exploration_size(budget: int) -> int:
-    """Number of points that are spread evenly before anything is known: the largest power of two within their share.
+    """Number of evenly spread points with which a search begins: the largest power of two within their budget share.
 
     Args:
         budget: Number of simulations.
@@ -76,7 +76,7 @@ def exploration_size(budget: int) -> int:
 
 
 def population_size(budget: int, size: int) -> int:
-    """Number of members of the differential evolution, such that several generations fit the budget.
+    """Number of members of a generation of the differential evolution; several generations fit the budget.
 
     Args:
         budget: Number of simulations.
@@ -86,7 +86,7 @@ def population_size(budget: int, size: int) -> int:
 
 
 def climb_count(budget: int, size: int) -> int:
-    """Number of gradient descents at once, such that each can make several steps within its share of the budget.
+    """Number of gradient descents that run together; each can make several steps within the descents' budget share.
 
     Args:
         budget: Number of simulations.
@@ -101,9 +101,9 @@ class SimulatedPoints(NamedTuple):
     Args:
         points: Coordinates, shape (n, laws).
         slacks: Slack of the worst requirement, relative to the scale of that requirement, shape (n,).
-        binding: Index of that requirement, shape (n,).
-        distances_to_bound: Slack of that requirement in its metric's unit, shape (n,).
-        simulation_counts: Simulations spent until then, shape (n,).
+        binding: Index of the worst requirement among all requirements of the study, shape (n,).
+        distances_to_bound: Slack of the worst requirement in its metric's unit, shape (n,).
+        simulation_counts: Simulations spent by the search up to and including each point, shape (n,).
         ended: Outcome code of a draw that ended early; 0 if it ran to its end, shape (n,).
         failed_at: Time at which the draw ended early [s]; NaN if it ran to its end, shape (n,).
         first_violated: Index of the requirement that is violated first, before the draw ends; -1: none, shape (n,).
@@ -143,7 +143,7 @@ class WorstDrawSearch:
         worst: Smallest slack so far.
         batches: The simulated points so far.
         requirements: The study's requirements, with the scales that the first points show.
-        unspent: Why evolution leaves simulations, in words; empty if it does not, or has not begun.
+        unspent: Why the evolution leaves simulations unspent, in words; empty before the evolution begins.
     """
 
     programs: SearchPrograms
@@ -160,7 +160,7 @@ class WorstDrawSearch:
 
     @property
     def stopped(self) -> str:
-        """Why the search stopped before its budget was spent, in words; empty if it spent it."""
+        """Why the search stopped before it had spent its budget, in words; empty if the budget is spent."""
         if self.simulation_count >= self.budget:
             return ""
         if self.worst > -np.inf:
@@ -178,17 +178,19 @@ class WorstDrawSearch:
         return self.region.size
 
     def simulate(self, points: np.ndarray, evaluator: Evaluator, cost: int = 1) -> tuple[np.ndarray, Arrays]:
-        """Simulate points and record them.
+        """Simulate points with the in-loop noise of draw 0, and record their results.
+
+        The first call also fixes the scales by which slacks are divided.
 
         Args:
             points: Coordinates, shape (n, laws).
-            evaluator: The program.
+            evaluator: The program that simulates, with or without derivatives.
             cost: Number of simulations that one point costs.
 
         Returns:
             The slack of the worst requirement, shape (n,), and the results.
         """
-        draw_0 = np.zeros(len(points), dtype=int)  # all have its in-loop noise
+        draw_0 = np.zeros(len(points), dtype=int)  # all points share the in-loop noise of draw 0
         results = evaluator(draw_0, self.region.values(points))
         if not self.requirements:
             self.requirements = with_typical_slacks(self.programs.study.requirements, results)
@@ -244,14 +246,19 @@ class WorstDrawSearch:
         return np.where(np.isnan(slacks), -np.inf, slacks)
 
     def starts(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Starting points of gradient descents, each of which descends the slack of one requirement.
+        """Choose the starting points of gradient descents, each of which lowers the slack of one requirement.
 
-        The requirements that count take turns, the most critical one first. Otherwise the requirement that is worst at
-        most points would hide another one, whose worst draws lie elsewhere. A descent starts at the worst point of its
-        requirement that is far enough from the other starts, or at the worst one that is no start yet.
+        The requirements that count take turns, the one with the smallest slack first. If all descents followed the
+        requirement that is worst at most points, they would miss the worst draws of the others. A descent starts at the
+        worst point of its requirement that is far enough from the other starts. If no point is, the descent starts at
+        the worst point that is not a start yet.
+
+        Args:
+            count: Number of descents.
 
         Returns:
-            The points, shape (count, laws), and the index of the requirement of each descent, shape (count,).
+            The points, shape (count, laws), and for each descent the index of its requirement among
+            :attr:`relevant_requirements`, shape (count,).
         """
         points = join_batches(self.batches).points
         slacks = self.single_slacks()
@@ -270,10 +277,11 @@ class WorstDrawSearch:
         return all(self.region.are_apart(point, start) for start in starts)
 
     def climb(self) -> None:
-        """Run several projected gradient descents at once, each of one slack and with a step length of its own.
+        """Run several projected gradient descents together, each with one requirement's slack and its own step length.
 
-        A simulation with derivatives costs 1 + d plain ones, for d uncertain numbers. Native code has no derivatives,
-        and an early end has no slack. Evolution then gets this share of the budget.
+        A simulation with derivatives by d uncertain numbers costs as much as 1 + d plain simulations. Without
+        derivatives (native code), without a requirement, or with too small a budget nothing is done here, and the
+        differential evolution gets this share of the budget. The descents stop as soon as a slack is minus infinity.
         """
         if native_code(self.programs.study) or not self.relevant_requirements:
             return
@@ -302,14 +310,14 @@ class WorstDrawSearch:
     def slacks_and_slopes(
         self, points: np.ndarray, results: Arrays, targets: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The slack that each descent follows, shape (n,), and its derivatives by the coordinates, shape (n, laws).
+        """The slack that each descent lowers, shape (n,), and its derivatives by the coordinates, shape (n, laws).
 
-        A derivative that is not finite counts as 0.
+        A derivative that is not finite is replaced by 0.
 
         Args:
             points: The point of each descent, shape (n, laws).
             results: The results there, with derivatives by the uncertain numbers.
-            targets: Index of the requirement of each descent, shape (n,).
+            targets: Index of each descent's requirement among :attr:`relevant_requirements`, shape (n,).
         """
         laws = list(self.programs.study.laws)
         all_slacks = np.array([worst_slack([required], results) for required in self.relevant_requirements])
@@ -323,7 +331,7 @@ class WorstDrawSearch:
         count = population_size(self.budget, self.size)
         first_generation: Any = self.worst_points(count)
         remaining_budget = self.budget - self.simulation_count
-        generations = remaining_budget // count - 1  # SciPy simulates the first one again
+        generations = remaining_budget // count - 1  # SciPy simulates the first generation again
         self.unspent = f"the {remaining_budget % count} simulations left are fewer than a generation of {count}"
         if generations < 1:
             self.unspent = f"the {remaining_budget} simulations left are fewer than two generations of {count}"
@@ -335,7 +343,10 @@ class WorstDrawSearch:
             return np.clip(slacks, -LARGEST_COST, LARGEST_COST)
 
         def is_over(point: np.ndarray, convergence: float) -> bool:
-            """Whether the evolution can end, since nothing is worse than an infinite miss."""
+            """Whether the evolution can end, because nothing is worse than a slack of minus infinity.
+
+            SciPy passes both arguments, which are not used.
+            """
             return self.worst == -np.inf
 
         evolution = differential_evolution(

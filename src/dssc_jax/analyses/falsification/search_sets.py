@@ -28,6 +28,8 @@ SCORE_GAP = 0.5
 class SearchSet(ABC):
     """A set of draws in which a search moves. Each draw is a point with one coordinate for each law.
 
+    A subclass decides what the coordinates mean, and what shape the set has.
+
     Args:
         study: The study, without a sweep.
     """
@@ -36,7 +38,7 @@ class SearchSet(ABC):
 
     @property
     def size(self) -> int:
-        """Number of coordinates, that of the uncertain numbers."""
+        """Number of coordinates, one for each uncertain number."""
         return len(self.study.laws)
 
     @property
@@ -98,11 +100,11 @@ class Support(SearchSet):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The levels 0 and 1, less an edge, since laws without ends have no value there."""
+        """The levels 0 and 1, moved inwards by a small edge, since laws without ends have no value at 0 and 1."""
         return SEARCH_EDGE, 1.0 - SEARCH_EDGE
 
     def even_points(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Sobol points of the cube, shape (count, laws)."""
+        """Scrambled Sobol points of the cube, clipped to the limits, shape (count, laws)."""
         sobol = qmc.Sobol(self.size, rng=rng)
         return self.project(sobol.random(count))
 
@@ -111,16 +113,20 @@ class Support(SearchSet):
         return np.clip(points, *self.limits)
 
     def levels(self, points: np.ndarray) -> np.ndarray:
-        """The coordinates themselves, shape (n, laws)."""
+        """The points themselves, whose coordinates are levels, shape (n, laws)."""
         return points
 
     def scores(self, points: np.ndarray) -> np.ndarray:
-        """Independent normal scores, shape (n, laws): the scores of the levels, which the copula's root has mixed."""
+        """Independent normal scores, shape (n, laws): the levels' scores with the mixing by the copula undone."""
         mixed_scores = special.ndtri(points)
         return np.linalg.solve(score_mixing_matrix(self.study), mixed_scores.T).T
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-        """Convert derivatives by the numbers to derivatives by the levels, with differences of the laws' quantiles."""
+        """Convert derivatives by the numbers to derivatives by the levels, shape (n, laws).
+
+        The slope of a number over its level is a difference of quantiles. For the arguments see
+        :meth:`SearchSet.slopes`.
+        """
         half_step = 0.5 * SEARCH_EDGE
         number_slopes = np.empty_like(points)
         for i, law in enumerate(self.study.laws.values()):
@@ -130,12 +136,15 @@ class Support(SearchSet):
         return gradients * number_slopes
 
     def descend(self, points: np.ndarray, slopes: np.ndarray, stride: np.ndarray) -> np.ndarray:
-        """Step against the slopes, so that the fastest level changes by the stride; see :class:`SearchSet`."""
+        """Step against the slopes, so that the level with the largest slope changes by the stride; then clip.
+
+        For the arguments see :meth:`SearchSet.descend`.
+        """
         steepest = np.max(np.abs(slopes), axis=1, keepdims=True)
         return self.project(points - stride[:, None] * slopes / one_for_zero(steepest))
 
     def are_apart(self, point: np.ndarray, start: np.ndarray) -> bool:
-        """Whether one level at least differs by more than :data:`LEVEL_GAP`."""
+        """Whether at least one level differs by more than :data:`LEVEL_GAP`."""
         return bool(np.max(np.abs(point - start)) > LEVEL_GAP)
 
 
@@ -143,7 +152,8 @@ class Support(SearchSet):
 class ScoreBall(SearchSet):
     """The draws within a distance of the median draw, a ball: a coordinate is an independent standard normal score.
 
-    For normal laws it is an ellipsoid of constant density; correlated numbers have the scores of the Gaussian copula.
+    For normal laws the surface of the ball is an ellipsoid of constant density. The scores of correlated numbers are
+    those of the Gaussian copula.
 
     Args:
         radius: The distance k.
@@ -159,7 +169,8 @@ class ScoreBall(SearchSet):
     def even_points(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """The median draw, then points of even density in the ball, from Sobol points; shape (count, laws).
 
-        The direction is that of a normal point. The radius is k u^(1/d), with u uniform.
+        Each point has the direction of a standard normal point in d dimensions, and the distance k u^(1/d) from the
+        centre, with u uniform in (0, 1). Points with these laws are uniform in the ball.
         """
         points = inside_cube(qmc.Sobol(self.size + 1, rng=rng).random(count))
         uniform = points[:, -1]
@@ -175,16 +186,20 @@ class ScoreBall(SearchSet):
         return points * np.minimum(1.0, self.radius / one_for_zero(lengths))
 
     def levels(self, points: np.ndarray) -> np.ndarray:
-        """Quantile levels of the correlated scores, shape (n, laws)."""
+        """Quantile levels at points of the ball, shape (n, laws): those of the scores that the copula has mixed."""
         correlated_scores = points @ score_mixing_matrix(self.study).T
         return inside_cube(special.ndtr(correlated_scores))
 
     def scores(self, points: np.ndarray) -> np.ndarray:
-        """The coordinates themselves, shape (n, laws)."""
+        """The points themselves, whose coordinates are independent scores, shape (n, laws)."""
         return points
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-        """Convert derivatives by the numbers to derivatives by the scores, with differences of the laws' quantiles."""
+        """Convert derivatives by the numbers to derivatives by the independent scores, shape (n, laws).
+
+        The slope of a number over its correlated score is a difference of quantiles; the mixing matrix converts it. For
+        the arguments see :meth:`SearchSet.slopes`.
+        """
         mixing_matrix = score_mixing_matrix(self.study)
         correlated_scores = points @ mixing_matrix.T
         number_slopes = np.empty_like(points)
@@ -195,23 +210,28 @@ class ScoreBall(SearchSet):
         return (gradients * number_slopes) @ mixing_matrix
 
     def descend(self, points: np.ndarray, slopes: np.ndarray, stride: np.ndarray) -> np.ndarray:
-        """Step straight against the slopes, by the stride times the radius; see :class:`SearchSet`."""
+        """Step straight against the slopes, over the distance stride times radius; then project onto the ball.
+
+        For the arguments see :meth:`SearchSet.descend`.
+        """
         lengths = np.linalg.norm(slopes, axis=1)
         scale = self.radius * stride / one_for_zero(lengths)
         return self.project(points - scale[:, None] * slopes)
 
     def are_apart(self, point: np.ndarray, start: np.ndarray) -> bool:
-        """Whether the distance of two points is more than :data:`SCORE_GAP` radii."""
+        """Whether the distance between two points exceeds :data:`SCORE_GAP` times the radius of the ball."""
         return bool(np.linalg.norm(point - start) > SCORE_GAP * self.radius)
 
 
 def one_for_zero(lengths: np.ndarray) -> np.ndarray:
-    """Lengths >= 0 as divisors: 1 in place of 0, where the dividend is 0, too."""
+    """Replace lengths of 0 by 1, so that dividing a vector of length 0 by its length gives 0 instead of NaN."""
     return np.where(lengths > 0.0, lengths, 1.0)
 
 
 def search_set(study: Study, sigma: float | None = None, mass: float | None = None) -> SearchSet:
-    """The set of draws in which to search; without a distance or a probability, the whole support of the laws.
+    """The set of draws in which to search: the draws within a distance of the median draw, or all draws.
+
+    With neither ``sigma`` nor ``mass`` the set is the whole support of the laws.
 
     Args:
         study: The study, without a sweep.

@@ -16,10 +16,11 @@ class AllChanges:
     """One kind of change of all laws at once: a shift of all means, or a widening of all laws, of any size.
 
     Args:
-        draws: The draws, weighted by the changed laws.
-        largest: The largest change at which the weights keep the failure probability below its limit.
-        guaranteed: The largest size that keeps the limit whatever set of draws fails; 0 if there is none.
-        limit_at: (size) -> upper limit of the failure probability whatever set of draws fails.
+        draws: The draws with the weights that the changed laws give them.
+        largest: The largest change for which the weighted draws keep the failure probability below its limit.
+        guaranteed: The largest size that keeps the failure probability below its limit for every conceivable set of
+            failing draws; 0 if there is none.
+        limit_at: (size) -> upper limit of the failure probability for every conceivable set of failing draws.
     """
 
     draws: WeightedDraws
@@ -31,8 +32,8 @@ class AllChanges:
         """The worst failure probability over the size of the change.
 
         Returns:
-            Sizes, shape (points,), and for each size three columns, shape (points, 3): the worst failure probability by
-            the weights and its upper limit, NaN where the weights are not trusted, and the limit whatever draws fail.
+            The sizes, shape (points,), and three columns for them, shape (points, 3): the worst failure probability by
+            the weights, its upper limit (both NaN where the weights are not trusted), and :attr:`limit_at`.
         """
         explored = self.largest.explored
         end = max(explored, BEYOND * self.guaranteed, np.finfo(float).eps)

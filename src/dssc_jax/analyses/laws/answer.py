@@ -14,7 +14,7 @@ DEVIATIONS = "standard deviations"
 
 @dataclass(frozen=True)
 class FailureShare:
-    """The failure probability under the assumed laws."""
+    """The failure probability under the study's own laws, from the draws of the result."""
 
     failures: Annotated[int, Quantity("1", "failed draws")]
     probability: Annotated[float, Quantity("1", "failure probability")]
@@ -24,7 +24,7 @@ class FailureShare:
 
 @dataclass(frozen=True)
 class Guaranteed:
-    """The largest changes of all laws that keep the limit whatever set of draws fails."""
+    """The largest changes of all laws that keep the limit, however the failing draws lie among all draws."""
 
     mean_shift: Annotated[float, Quantity(DEVIATIONS, "shift of all means, with confidence")]
     widening: Annotated[
@@ -34,7 +34,7 @@ class Guaranteed:
 
 @dataclass(frozen=True)
 class Estimates:
-    """How wrong the laws may be by the best estimate, that is without regard to the draws' own uncertainty."""
+    """How wrong the laws may be by the best estimate, which ignores that the number of draws is finite."""
 
     total_variation: Annotated[float, Quantity("1", "total variation")]
     kl: Annotated[float, Quantity("nat", "Kullback-Leibler divergence; None: no draw fails")]
@@ -45,7 +45,7 @@ class Estimates:
 
 @dataclass(frozen=True)
 class WeightedAnswer:
-    """What the weighted draws say of one kind of change of all laws: the largest change that keeps the limit."""
+    """The largest change of one kind, of all laws at once, that keeps the limit according to the weighted draws."""
 
     bound: Annotated[float, Quantity("that of the change", "largest change, with confidence")]
     estimate: Annotated[float | None, Quantity("that of the change", "largest change; None: not reached")]
@@ -76,7 +76,7 @@ class WeightedAnswer:
 
 @dataclass(frozen=True)
 class Knowledge:
-    """The value of knowing in which part of its law a number lies; the parts have equal probability."""
+    """What it is worth to know in which part of its law a number lies; all parts are equally probable."""
 
     parts: Annotated[int, Quantity("1", "number of parts")]
     removed: Annotated[float, Quantity("1", "share of the variance of failure that the knowledge removes")]
@@ -87,7 +87,7 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class LawError:
-    """How wrong the law of one number may be while all others are right."""
+    """How wrong the law of one number may be while the laws of all other numbers are right."""
 
     mean_shift: Annotated[float, Quantity(DEVIATIONS, "shift of its mean, with confidence")]
     mean_shift_estimate: Annotated[
@@ -114,7 +114,10 @@ class LawError:
 
 @dataclass(frozen=True)
 class LawErrorsAnswer:
-    """How wrong the laws may be before the failure probability can exceed the limit: all of them, and one by one."""
+    """How wrong the laws may be before the failure probability can exceed the limit: all laws together, and each alone.
+
+    Amounts "with confidence" are safe bounds; those in ``estimates`` ignore that the number of draws is finite.
+    """
 
     requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
     limit: Annotated[float, Quantity("1", "largest failure probability allowed")]

@@ -23,7 +23,7 @@ TOWARDS_FAILURE = 1.0  # sign that asks for the change with the most failures
 
 @dataclass(frozen=True)
 class FreshLimit:
-    """The largest change that keeps the limit, in the worst direction by the weights, tested with new draws."""
+    """The largest change that keeps the limit by new draws, in the direction that is worst by the weighted draws."""
 
     bound: Annotated[float, Quantity("that of the change", "largest change, with confidence")]
     estimate: Annotated[
@@ -44,9 +44,10 @@ class FreshLimits:
 
 
 def worst_direction(draws: WeightedDraws, largest: LargestChange) -> np.ndarray:
-    """The direction of the worst change: an amount for each law, shape (laws,), the largest of size 1.
+    """The direction of the worst change: an amount for each law, shape (laws,), scaled so that the largest is +-1.
 
-    Where the weights are trusted at no size, they still give a direction, at the size :data:`TRIAL`.
+    Where the weights are not trusted at any size above 0, the direction is that of the worst change of size
+    :data:`TRIAL`: the weights are too uneven for a probability there, but still show the direction.
 
     Args:
         draws: The weighted draws.
@@ -61,10 +62,10 @@ def worst_direction(draws: WeightedDraws, largest: LargestChange) -> np.ndarray:
 def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, largest: LargestChange, limit: float) -> FreshLimit:
     """Find the largest change in the worst direction, by simulating new draws under changed laws.
 
-    The failure probability is assumed to grow along the direction.
+    The bisection assumes that the failure probability grows along the direction.
 
     Args:
-        fresh: The new draws.
+        fresh: The new draws; each changed law moves the same draws.
         draws: The weighted draws, which give the direction and the kind of change.
         largest: The largest change by the weights.
         limit: Largest failure probability allowed.
@@ -73,20 +74,20 @@ def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, largest: LargestChange,
 
     @lru_cache
     def failures(size: float) -> int:
-        """Number of new draws that fail under the change of this size."""
+        """Number of new draws that fail under a change of this size in the worst direction; each size is run once."""
         return fresh.count_failures(draws.change.apply(size * direction, fresh.scores))
 
     def interval(size: float) -> list[float]:
-        """Lower and upper limit of the failure probability under the change of this size."""
+        """Lower and upper limit of the failure probability (Clopper-Pearson) under a change of this size."""
         return clopper_pearson(failures(size), fresh.count, draws.confidence).tolist()
 
     def keeps_limit(size: float) -> bool:
-        """Whether the upper limit of the failure probability keeps the limit."""
+        """Whether the upper limit of the failure probability's interval is at most ``limit``."""
         _, high = interval(size)
         return high <= limit
 
     def keeps_limit_by_estimate(size: float) -> bool:
-        """Whether the share of failing draws keeps the limit."""
+        """Whether the share of failing draws is at most ``limit``."""
         return failures(size) <= limit * fresh.count
 
     bound = largest_size_by_doubling(keeps_limit)
@@ -110,7 +111,7 @@ def fresh_limits(fresh: FreshDraws, changes: Sequence[AllChanges], limit: float)
 
 
 def largest_size_by_doubling(holds: Callable[[float], bool]) -> float:
-    """The size up to which a condition holds, between 0 and :data:`LARGEST`: doubled, then bisected.
+    """The size up to which a condition holds, from 0 to :data:`LARGEST`, found by doubling and then by bisection.
 
     Args:
         holds: (size) -> whether the condition holds; if it fails at a size, it fails at all larger ones.

@@ -19,7 +19,7 @@ class FreshDraws:
 
     Args:
         study: The study, without a sweep.
-        start: Index of the first draw; the result has those before.
+        start: Index of the first new draw; the result has the draws with smaller indices.
         count: Number of draws.
         progress: Called with the simulations done.
     """
@@ -30,7 +30,7 @@ class FreshDraws:
     progress: ProgressCallback | None = None
 
     def __post_init__(self) -> None:
-        """Start the count of simulations, for all changes together."""
+        """Set the count of simulations to 0; it covers all changes together."""
         self.simulated = 0
 
     @cached_property
@@ -51,7 +51,8 @@ class FreshDraws:
     def count_failures(self, scores: np.ndarray) -> int:
         """Simulate the draws with changed scores, shape (count, laws), and count the failures.
 
-        A score is changed, and not a law: the draw takes the value at the changed score in the study's own law.
+        Changing the score has the same effect as changing the law: the draw takes the value that the study's own law
+        has at the changed score.
         """
         levels = inside_cube(special.ndtr(scores))
         outcomes = evaluate(self.engine, values_at_levels(self.study, levels), self.indices)["outcome"]

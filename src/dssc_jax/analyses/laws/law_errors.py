@@ -74,9 +74,10 @@ class LawErrors(Analysis):
     * ``failing_low``, ``failing_median`` and ``failing_high``: levels of the law in failed draws, with the interval
       ``failing_median_low`` to ``failing_median_high`` of the median.
 
-    Along ``size``, that of a shift of all means, and ``width``, that of all laws, it has the worst failure probability
-    by the weights (``shifted``, ``widened``), its upper limit (``shifted_limit``, ``widened_limit``), and the limit
-    whatever draws fail (``shifted_guaranteed``, ``widened_guaranteed``).
+    Along ``size``, the size of a shift of all means, it has three curves: ``shifted``, the worst failure probability by
+    the weights, ``shifted_limit``, its upper limit, and ``shifted_guaranteed``, an upper limit that holds whatever set
+    of draws fails. Along ``width``, the relative width of all laws, it has ``widened``, ``widened_limit`` and
+    ``widened_guaranteed`` with the same meanings.
 
     Args:
         limit: Largest failure probability allowed.
@@ -87,7 +88,7 @@ class LawErrors(Analysis):
         guaranteed: Changes within which the limit is kept whatever set of draws fails.
         weights: What the weights say of a shift of all means and of a widening of all laws.
         stated: Intervals of the failure probability if the laws are wrong by stated amounts.
-        fresh: What new draws say; None: none were asked for, or no draw fails and there is no worst direction.
+        fresh: What new draws say; None if none were asked for, or if no draw fails, so that no direction is the worst.
         seconds: Computing time [s].
     """
 
@@ -128,8 +129,8 @@ class LawErrors(Analysis):
     def answer(self) -> LawErrorsAnswer:
         """How wrong the laws may be, together and one by one, as ``summary.json`` has it.
 
-        The weights and the guarantee each give a bound. Either is wrong with a probability of 2.5 % at most, so that
-        the larger one holds.
+        The weights and the guarantee each give a bound of a shift and of a widening. Each bound is wrong with a
+        probability of at most 2.5 %, so the larger of the two is wrong with a probability of at most 5 %.
         """
         probability = self.failures / self.draws
         estimated_radii = {name: ball.largest_radius(probability, self.limit) for name, ball in BALLS.items()}
@@ -158,9 +159,9 @@ class LawErrors(Analysis):
         )
 
     def most_important(self) -> str | None:
-        """The number for which the smallest shift of its mean makes the failure probability reach the limit.
+        """The number whose mean needs the smallest shift before the failure probability reaches the limit.
 
-        The shifts are the estimates. None if no shift of a mean reaches it.
+        The shifts compared are the estimates. None if no shift of a single mean reaches the limit.
         """
         shifts = self.dataset["shift_estimate"].values
         if np.isnan(shifts).all():
@@ -168,7 +169,10 @@ class LawErrors(Analysis):
         return str(self.dataset[TABLE].values[np.nanargmin(shifts)])
 
     def measure_next(self) -> str | None:
-        """The number whose knowledge removes most of the variance of failure; None if none is known to remove any."""
+        """The number that is most worth measuring: knowing it removes the largest share of the variance of failure.
+
+        Only numbers count whose share has an interval above 0; None if there is no such number.
+        """
         is_known_to_remove = self.dataset["removed_low"].values > 0.0
         if not is_known_to_remove.any():
             return None
@@ -176,7 +180,7 @@ class LawErrors(Analysis):
         return str(self.dataset[TABLE].values[removed.argmax()])
 
     def by_law(self) -> dict[str, LawError]:
-        """How wrong each law may be while all others are right, by the number's name."""
+        """How wrong each law may be while all other laws are right, by name of the number."""
         rows = {}
         for name in map(str, self.dataset[TABLE].values):
             row = self.dataset.sel({TABLE: name})
@@ -212,7 +216,7 @@ def failing_values(law: Law, row: xr.Dataset) -> tuple[float, float, float] | No
 
     Args:
         law: Law of the number.
-        row: The number's row of the dataset, which has the levels of these quantiles in its law.
+        row: The number's row of the dataset; it has these quantiles as levels of the number's law.
     """
     low, middle, high = (float(law.quantile(row[name].values)) for name in FAILING)
     return None if np.isnan(middle) else (low, middle, high)
@@ -223,14 +227,16 @@ def failing_median_interval(law: Law, row: xr.Dataset) -> tuple[float, float] | 
 
     Args:
         law: Law of the number.
-        row: The number's row of the dataset, which has the levels of the ends in its law.
+        row: The number's row of the dataset; it has the ends of the interval as levels of the number's law.
     """
     low, high = (float(law.quantile(row[name].values)) for name in MEDIAN_ENDS)
     return None if np.isnan(low) else (low, high)
 
 
 def read_knowledge(row: xr.Dataset) -> Knowledge | None:
-    """The value of knowing in which part of its law a number lies; None if too few draws failed.
+    """Read from the dataset what it is worth to know in which part of its law a number lies.
+
+    None if too few draws failed.
 
     Args:
         row: The number's row of the dataset.
@@ -298,7 +304,7 @@ def laws(
     changes = (shift_of_all, widening_of_all)
     free = draws.free(draws.names)
     guaranteed = Guaranteed(bounds.largest_shift(free, limit), bounds.largest_widening(free, limit))
-    new = FreshDraws(study, len(draws.failed), fresh, progress)  # simulates nothing yet
+    new = FreshDraws(study, len(draws.failed), fresh, progress)  # no simulation before its first use
     return LawErrors(
         study,
         law_errors_dataset(draws, shift_of_all, widening_of_all, bounds, limit),
@@ -316,7 +322,7 @@ def laws(
 
 
 def shift_of_all_means(draws: ScoredDraws, bounds: AnyFailures, confidence: float, limit: float) -> AllChanges:
-    """The largest shift of all means that keeps the limit; its sizes are in standard deviations.
+    """Shifts of all means: the largest one that keeps the limit, and limits for any size [standard deviations].
 
     Args:
         draws: The draws of the result with their scores.
@@ -328,7 +334,7 @@ def shift_of_all_means(draws: ScoredDraws, bounds: AnyFailures, confidence: floa
     shifts = draws.weighted(Shift, confidence)
 
     def limit_at(size: float) -> float:
-        """Upper limit of the failure probability after any shift of this size."""
+        """Upper limit of the failure probability after any shift of this size, whatever set of draws fails."""
         _, high = bounds.interval_after_shift(free, size)
         return high
 
@@ -336,7 +342,9 @@ def shift_of_all_means(draws: ScoredDraws, bounds: AnyFailures, confidence: floa
 
 
 def widening_of_all_laws(draws: ScoredDraws, bounds: AnyFailures, confidence: float, limit: float) -> AllChanges:
-    """The largest widening of all laws that keeps the limit; a size is the logarithm of the relative width.
+    """Widenings of all laws: the largest one that keeps the limit, and limits for any size.
+
+    The size of a widening is the natural logarithm of the relative width.
 
     Args:
         draws: The draws of the result with their scores.
@@ -349,7 +357,10 @@ def widening_of_all_laws(draws: ScoredDraws, bounds: AnyFailures, confidence: fl
     guaranteed_width = bounds.largest_widening(free, limit) or UNCHANGED_WIDTH
 
     def limit_at(size: float) -> float:
-        """Upper limit of the failure probability after any widening of this size; NaN if the laws are correlated."""
+        """Upper limit of the failure probability after any widening of this size, whatever set of draws fails.
+
+        NaN if the laws are correlated.
+        """
         interval = bounds.interval_after_widening(free, math.exp(size))
         return math.nan if interval is None else interval[1]
 
@@ -357,7 +368,7 @@ def widening_of_all_laws(draws: ScoredDraws, bounds: AnyFailures, confidence: fl
 
 
 def result_of(subject: Study | Result, progress: ProgressCallback | None) -> Result:
-    """The subject itself if it is a result, or the result of a study, which is run without its sweep.
+    """The subject itself if it is a result; otherwise the result of running the study without its sweep.
 
     Args:
         subject: The result or the study.

@@ -1,7 +1,8 @@
 """Lowest and highest failure probability over all laws whose arguments lie within ranges: a probability box.
 
-The draws come from a mixture of the laws of the box, and are simulated once. Their weights give the failure probability
-under every law of the box, so that a search finds the best and the worst of them. New draws of these two laws check it.
+The draws come from a mixture of the laws of the box, and are simulated once. The weights of the draws give the failure
+probability under every law of the box, so that a search finds the best and the worst law. New draws of these two laws
+check the result.
 """
 
 import time
@@ -43,7 +44,7 @@ MOST_DOUBLINGS = 4
 
 @dataclass(frozen=True)
 class ExtremeLaws:
-    """The laws of the box with the smallest lower, or the largest upper limit of the failure probability."""
+    """The laws of the box whose failure probability has the smallest lower limit, or the largest upper limit."""
 
     laws: Annotated[dict[str, dict[str, list[float]]], Quantity("", "the laws, as a study file gives them")]
     probability: Annotated[float, Quantity("1", "failure probability by the weights")]
@@ -81,9 +82,9 @@ class LawRangesAnswer:
 class LawRanges(Analysis):
     """Lowest and highest failure probability over the box of laws: all laws whose arguments lie within their ranges.
 
-    The dataset's dimension ``argument`` lists the arguments given as ranges. Its variables are ``low`` and ``high``,
-    the range, and ``at_lowest`` and ``at_highest``, the argument of the law with the lowest and with the highest
-    failure probability.
+    The dimension ``argument`` of the dataset lists the arguments that are ranges. Along it the dataset has the ends of
+    the range, ``low`` and ``high``, and the value of the argument in the law with the lowest failure probability,
+    ``at_lowest``, and with the highest, ``at_highest``.
 
     Args:
         limit: Largest failure probability allowed.
@@ -109,9 +110,9 @@ class LawRanges(Analysis):
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Interval that holds the failure probability of every law of the box.
+        """Interval that contains the failure probability under every law of the box.
 
-        Where new draws contradict the weights, it also contains the interval from the new draws.
+        If new draws contradict the weights at an end, that end is moved outwards to the interval from the new draws.
         """
         low, _ = self.lowest.interval
         _, high = self.highest.interval
@@ -123,7 +124,7 @@ class LawRanges(Analysis):
 
     @property
     def verdict(self) -> str:
-        """Whether the failure probability stays below the limit for every law of the box, in words."""
+        """Say in words whether every law of the box keeps the failure probability at the limit or below."""
         low, high = self.interval
         if high <= self.limit:
             return "kept by all laws"
@@ -178,7 +179,7 @@ def law_ranges(
 
     Args:
         study: A study in which the arguments of at least one law are ranges, ``{ normal = [[0.9, 1.1], 0.1] }``; its
-            sweep is ignored. Its draws are doubled, up to four times, while their weights are too uneven.
+            sweep is ignored. The number of its draws is doubled, up to four times, while the weights are too uneven.
         limit: Largest failure probability allowed, in (0, 1).
         fresh: Number of new draws of each of the two laws found; None: as many as the study has draws.
         progress: Called with the simulations done.
@@ -236,7 +237,7 @@ def require_even_weights(draws: RangedDraws, study: Study) -> None:
         study: The study, for the message.
 
     Raises:
-        ConfigError: The weights are too uneven; the message has the number of draws that would do.
+        ConfigError: The weights are too uneven; the message estimates how many draws would be enough.
     """
     if draws.trusted:
         return
@@ -250,9 +251,10 @@ def require_even_weights(draws: RangedDraws, study: Study) -> None:
 
 
 class DrawSimulator:
-    """Simulates draws of a study whose laws have ranges for arguments.
+    """Simulates draws of a study in which arguments of laws are ranges.
 
-    The ranges of all arguments are a box of laws. Draws come from the mixture of its laws, or from single laws of it.
+    The ranges of all arguments span a box of laws. Draws come from a mixture of laws of the box, or from one law of the
+    box for each number.
 
     Args:
         study: The study.
@@ -260,9 +262,9 @@ class DrawSimulator:
     """
 
     def __init__(self, study: Study, progress: ProgressCallback | None) -> None:
-        """Compile the study; draws of other laws are passed to it as values."""
+        """Compile the study with the laws in the middle of the box; values drawn from other laws are passed to it."""
         self.ranged = study.ranged_laws
-        middle_laws = {name: law.middle for name, law in self.ranged.items()}  # in the middles of their ranges
+        middle_laws = {name: law.middle for name, law in self.ranged.items()}  # all arguments in mid-range
         self.middle_study = study.with_laws(middle_laws)
         self.engine = Engine(self.middle_study, min(BLOCK, study.config.draws))
         self.progress = progress
@@ -271,7 +273,7 @@ class DrawSimulator:
         self.failed = np.empty(0, dtype=bool)
 
     def mixture(self, count: int) -> RangedDraws:
-        """The first ``count`` draws of the mixture; draws simulated before are not simulated again."""
+        """The first ``count`` draws of the mixture; draws that an earlier call simulated are not simulated again."""
         new_indices = np.arange(len(self.failed), count)
         values = draw(self.middle_study, new_indices)
         points = unit_points(self.middle_study, new_indices)  # shape (n, laws)
@@ -298,7 +300,7 @@ class DrawSimulator:
         return outcomes != Outcome.OK
 
     def check(self, estimate: WeightedLaws, start: int, count: int) -> ExtremeLaws:
-        """Check the failure probability under single laws of the box by new draws from these laws.
+        """Check the weighted failure probability under some laws of the box, by new draws from these laws.
 
         Args:
             estimate: The laws, with their failure probability by the weights.

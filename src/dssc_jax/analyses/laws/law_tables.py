@@ -75,10 +75,10 @@ def law_errors_dataset(
 
 
 def curve_columns(prefix: str, dimension: str, curves: np.ndarray) -> dict[str, Column]:
-    """The three curves of one kind of change of all laws as columns of the dataset.
+    """Columns of the dataset for the three curves of one kind of change of all laws.
 
     Args:
-        prefix: What the change has done to the laws, with which the names of the columns begin.
+        prefix: Beginning of the columns' names, ``shifted`` or ``widened``.
         dimension: Name of the dimension along which the change grows.
         curves: The worst failure probability by the weights, its upper limit, and the limit whatever draws fail; shape
             (points, 3).
@@ -94,7 +94,7 @@ def curve_columns(prefix: str, dimension: str, curves: np.ndarray) -> dict[str, 
 def law_columns(
     draws: ScoredDraws, shifts: WeightedDraws, widenings: WeightedDraws, bounds: AnyFailures, limit: float
 ) -> dict[str, Column]:
-    """Columns of the dataset for changes of one law while all others are right.
+    """Columns of the dataset that tell how far each law alone may change while all other laws are right.
 
     Args:
         draws: The draws of the result with their scores.
@@ -103,7 +103,7 @@ def law_columns(
         bounds: Bounds that hold whatever set of draws fails.
         limit: Largest failure probability allowed.
     """
-    rows = []  # of each law: shift, its estimate, direction, width, its estimate
+    rows = []  # for each law: bound and estimate of the shift, direction, bound and estimate of the width
     for name in draws.names:
         free = draws.free([name])  # this law alone changes
         shift = largest_change(replace(shifts, free=free), limit)
@@ -129,7 +129,7 @@ def law_columns(
 
 
 def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> dict[str, Column]:
-    """Columns of the dataset for the value of knowing each number, and for its levels in failed draws.
+    """Columns of the dataset that tell what knowing each number is worth, and which levels it has in failed draws.
 
     Args:
         draws: The draws of the result with their scores.
@@ -154,9 +154,9 @@ def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> di
 
 
 def knowledge_of(levels: np.ndarray, failed: np.ndarray, limit: float, confidence: float) -> dict[str, float]:
-    """The value of knowing in which part of its law a number lies: the :data:`KNOWLEDGE` of one number.
+    """What it is worth to know in which part of its law a number lies, as values for the names in :data:`KNOWLEDGE`.
 
-    Without enough failures there are 0 parts, and the other values are NaN.
+    If too few draws failed, ``parts`` is 0 and the other values are NaN.
 
     Args:
         levels: Level of the number's law in each draw, shape (n,).
@@ -181,7 +181,9 @@ def knowledge_of(levels: np.ndarray, failed: np.ndarray, limit: float, confidenc
 
 
 def failing_levels(levels: np.ndarray, confidence: float) -> dict[str, float]:
-    """Quantiles of a number's levels in failed draws, and the ends of the interval of the median; NaN if none failed.
+    """Quantiles of a number's levels in failed draws, and the ends of the median's interval, by column name.
+
+    The quantiles are NaN if no draw failed, the ends if too few did.
 
     Args:
         levels: Levels of the number's law in the failed draws, shape (failures,).
@@ -194,7 +196,7 @@ def failing_levels(levels: np.ndarray, confidence: float) -> dict[str, float]:
 
 
 def median_ends(levels: np.ndarray, confidence: float) -> tuple[float, float]:
-    """The exact interval of the median level in failed draws; NaN if too few draws failed.
+    """Lower and upper end of the exact interval of the median level in failed draws; NaN if too few draws failed.
 
     Args:
         levels: Levels of a law in the failed draws, shape (failures,).

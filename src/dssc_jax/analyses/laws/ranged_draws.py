@@ -29,7 +29,7 @@ class WeightedLaws:
         laws: The law of each number, by name.
         probability: Failure probability under these laws.
         interval: Interval of the failure probability.
-        effective: Number of draws from these laws that would be worth as much as the weighted ones (Kish).
+        effective: Number of plain draws from these laws that are worth as much as the weighted draws (Kish).
     """
 
     laws: dict[str, Law]
@@ -39,15 +39,15 @@ class WeightedLaws:
 
 
 def mixture_laws(law: RangedLaw) -> list[Law]:
-    """The laws of a number's mixture: those at the corners of its box, and that in its middle."""
+    """The laws of a number's mixture: the laws at the corners of its box of arguments, and the law in the middle."""
     return [*law.corners, law.middle]
 
 
 def mixture_values(law: RangedLaw, levels: np.ndarray) -> np.ndarray:
-    """Draw values of a number's mixture, shape (n,).
+    """Convert uniform levels to values of a number's mixture, shape (n,).
 
-    The levels from 0 to 1 are divided into as many equal parts as the mixture has laws. A level draws from the law of
-    its part, at the place within the part as that law's level.
+    The interval from 0 to 1 is divided into as many equal parts as the mixture has laws. The part that contains a level
+    selects the law. The position of the level within the part, scaled to (0, 1), is the quantile level of that law.
 
     Args:
         law: The law with ranges.
@@ -71,19 +71,20 @@ def log_mixture(law: RangedLaw, values: np.ndarray) -> np.ndarray:
 def log_density(law: Law, values: np.ndarray) -> np.ndarray:
     """Natural logarithm of a law's density at values, shape (n,) both."""
     density = LAWS[law.kind].log_density
-    assert density is not None  # a law without one has no ranges
+    assert density is not None  # a kind of law without a density does not accept ranges
     return density(values, *law.arguments)
 
 
 @dataclass(frozen=True)
 class RangedDraws:
-    """Draws of the mixtures of all numbers whose laws have ranges, which answer for every law within the ranges.
+    """Draws from the mixtures of all numbers whose laws have ranges; their weights answer for every law of the box.
 
-    A draw gets the weight p/q under other laws, where p is its density under them and q that under the mixtures.
+    Under given laws of the box, a draw has the weight p/q: p is its density under these laws, and q its density under
+    the mixtures.
 
     Args:
-        laws: Law with ranges of each of these numbers.
-        values: Value of each of these numbers in each draw, shape (n,) each.
+        laws: The law with ranges of each of these numbers, by name.
+        values: Value of each of these numbers in each draw, by name, shape (n,) each.
         failed: Whether each draw failed, shape (n,).
         confidence: Confidence of the intervals.
     """
@@ -100,7 +101,7 @@ class RangedDraws:
 
     @cached_property
     def bounds(self) -> list[tuple[float, float]]:
-        """The ranges that are searched: those with different ends, number by number."""
+        """The ranges that span the box, number by number; arguments without a range (equal ends) are left out."""
         ranges = []
         for law in self.laws.values():
             ranges += [(low, high) for low, high in law.ranges if low < high]
@@ -165,7 +166,7 @@ class RangedDraws:
         """Search for the laws of the box with the largest upper limit of the failure probability."""
 
         def minus_upper_limit(laws: dict[str, Law]) -> float:
-            """The cost of laws: minus their upper limit."""
+            """The cost that the search minimises: minus the upper limit of the failure probability under some laws."""
             _, high = self.estimate(laws).interval
             return -high
 
@@ -175,7 +176,10 @@ class RangedDraws:
         """Search for the laws of the box with the smallest lower limit of the failure probability."""
 
         def lower_limit(laws: dict[str, Law]) -> float:
-            """The cost of laws: their lower limit; of equal ones the estimate decides."""
+            """The cost that the search minimises: the lower limit of the failure probability under some laws.
+
+            The estimate is added with a tiny weight, to decide between laws with the same lower limit, often 0.
+            """
             estimate = self.estimate(laws)
             low, _ = estimate.interval
             return low + TIE * estimate.probability
@@ -185,7 +189,8 @@ class RangedDraws:
     def _search(self, cost: Callable[[dict[str, Law]], float]) -> np.ndarray:
         """Search the box for the point with the lowest cost, shape (ranges,).
 
-        The best of the corners and of the point that DIRECT finds is improved by descent.
+        The starting point is the best among the corners and the point found by DIRECT, a global search. A local search
+        (L-BFGS-B) improves it.
 
         Args:
             cost: (law of each number) -> what to minimise.
@@ -198,7 +203,7 @@ class RangedDraws:
             return cost(self.laws_at(point))
 
         def point_at(shares: np.ndarray) -> np.ndarray:
-            """The point of the box at shares of the widths, from 0 to 1."""
+            """The point of the box at shares of its widths: 0 is the lower end of each range, 1 the upper end."""
             return low + width * np.clip(shares, 0.0, 1.0)
 
         by_direct = optimize.direct(cost_at, self.bounds, maxfun=EVALUATIONS * len(self.bounds)).x

@@ -24,8 +24,10 @@ class BrokenLoop(NamedTuple):
     Args:
         margins: Margins by name, shape (draws,) each; NaN for a draw without margins.
         status: A :class:`Status` for each draw, shape (draws,).
-        response: G = -T on the common grid, shape (draws, frequencies).
-        poles: Poles of L, shape (draws, states); NaN for a draw without an operating point within the limits.
+        response: G = -T on the common grid of frequencies, shape (draws, frequencies), with the complementary
+            sensitivity T = L/(1 + L).
+        poles: Poles of the loop transfer function L, shape (draws, states); NaN for a draw without an operating point
+            within the limits.
     """
 
     margins: dict[str, np.ndarray]
@@ -37,10 +39,10 @@ class BrokenLoop(NamedTuple):
 def multiloop_dataset(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Dataset:
     """The disk margins of all loops at once as variables of a dataset, along ``operating_point`` and ``draw``.
 
-    The dataset is empty if an operating point has no such margins, or two have margins of different channels.
+    The dataset is empty if an operating point has no such margins, or if the channels differ between operating points.
 
     Args:
-        multiloop: The margins of all draws, by operating point.
+        multiloop: The margins of all draws, by operating point; None for a point without such margins.
     """
     margins = [at_point for at_point in multiloop.values() if at_point is not None]
     has_gap = len(margins) < len(multiloop)
@@ -69,11 +71,12 @@ def multiloop_dataset(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Da
 def margins_dataset(
     study: Study, answers: Mapping[str, Mapping[str, BrokenLoop]], frequencies: np.ndarray
 ) -> xr.Dataset:
-    """The dataset of :class:`LoopMargins`.
+    """The dataset of :class:`LoopMargins`, without the margins of all loops at once.
 
     Args:
         study: The study.
-        answers: Margins and responses of all draws, by operating point and break point.
+        answers: Margins and responses of all draws, by operating point and break point. A break point that is missing
+            at some operating point gets :func:`blank_loop` there.
         frequencies: Frequencies of the responses [rad/s], shape (frequencies,).
     """
     points = list(answers)
@@ -99,7 +102,7 @@ def margins_dataset(
 
 
 def blank_loop(draws: int, frequencies: int) -> BrokenLoop:
-    """A broken loop of which no draw has an operating point.
+    """The entry for a break point at which no draw has a closed loop: every margin and response is NaN.
 
     Args:
         draws: Number of draws.
@@ -117,8 +120,8 @@ def margin_variables(broken_loops: Sequence[BrokenLoop], shape: tuple[int, int])
     """The margins and the status of all draws as variables of a dataset.
 
     Args:
-        broken_loops: Margins of all draws at every break point, operating point by operating point.
-        shape: Number of operating points and of break points.
+        broken_loops: Margins of all draws: all break points of the first operating point, then those of the next.
+        shape: Number of operating points, then of break points.
     """
     variables: dict[str, Variable] = {}
     for name, kind in MARGIN_KINDS.items():
@@ -140,8 +143,8 @@ def response_variables(
     """Fans of the frequency responses, and the loop transfer function of some draws, as variables of a dataset.
 
     Args:
-        broken_loops: Responses of all draws at every break point, operating point by operating point.
-        shape: Number of operating points and of break points.
+        broken_loops: Responses of all draws: all break points of the first operating point, then those of the next.
+        shape: Number of operating points, then of break points.
         frequencies: Frequencies of the responses [rad/s], shape (frequencies,).
         sample_time: T_s [s].
     """

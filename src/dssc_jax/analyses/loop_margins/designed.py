@@ -17,7 +17,10 @@ from dssc_jax.engine.linearisation.response import (
 
 @dataclass(frozen=True)
 class DesignedMargins:
-    """Classical margins of one stable sampled loop; a margin that does not exist is infinite."""
+    """Classical margins of one stable sampled loop.
+
+    A margin that does not exist is infinite; the lower gain margin is 0 in this case.
+    """
 
     gain_margin: Annotated[float, Quantity("1", "smallest destabilising factor of the gain above 1")]
     gain_lower_margin: Annotated[float, Quantity("1", "largest destabilising factor below 1; 0: none")]
@@ -37,7 +40,7 @@ def designed_margins(loop: ClosedLoop, sample_time: float) -> DesignedMargins:
         loop: The closed loop in sampled time.
         sample_time: T_s [s].
     """
-    matrices = loop.a[None], loop.b[None], loop.c[None]  # of a batch with one loop
+    matrices = loop.a[None], loop.b[None], loop.c[None]  # the margin functions take a batch of loops, here of size 1
     poles = np.linalg.eigvals(loop.a)[None]
     respond = response_of(*matrices)
     angles = margin_angles(*matrices, poles)

@@ -22,7 +22,7 @@ def fan_quantiles(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -
     """Quantiles over the draws of the quantities in :data:`FANS`, shape (levels, frequencies) each.
 
     Args:
-        response: G = -T, from the signal added at the break point to the signal before the sum, shape
+        response: G = -T, the response from a signal added at the break point to the signal before the sum, shape
             (draws, frequencies); NaN for a draw without an operating point.
         poles: Poles of the loop transfer function L, shape (draws, states).
         angles: omega T_s, shape (frequencies,).
@@ -42,13 +42,16 @@ def fan_quantiles(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -
 
 
 def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Phases of several loop transfer functions [rad], shape (draws, frequencies), unwrapped for a comparison.
+    """Phases of several loop transfer functions [rad], shape (draws, frequencies), unwrapped so that they compare.
 
-    A phase is known up to whole turns. Each curve is made continuous over frequency. The part of its phase that comes
-    from its poles is computed exactly, since a light resonance turns the phase by half a turn between two frequencies
-    of the grid. The curves are then shifted by whole turns until they agree at the frequency where most loops cross the
-    gain 1; a loop of the other sign lies half a turn below there. A curve may still move to a whole turn from the
-    median of all, as beyond a resonance that is unstable in some draws; it is shifted there (:func:`turns_apart`).
+    A phase is known up to whole turns. Three steps choose the turns:
+
+    * Each curve is made continuous over frequency. The phase of its poles is computed exactly, since a lightly damped
+      resonance turns the phase by half a turn between two frequencies of the grid.
+    * Each curve is shifted by whole turns, so that all curves agree at the frequency where most loops cross the gain 1.
+      A loop of the opposite sign lies half a turn below the others there.
+    * Elsewhere a curve may still be a whole turn away from the median of all curves, for instance above a resonance
+      that is unstable in some draws. It is shifted back there (:func:`turns_apart`).
 
     Args:
         loop: L, shape (draws, frequencies).
@@ -63,7 +66,7 @@ def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.n
     distance_from_crossover = np.median(np.abs(log_gain), axis=0)
     crossover = int(np.argmin(distance_from_crossover))
     middle = np.angle(np.mean(np.exp(1j * phase[:, crossover])))
-    middle -= TURN * np.ceil(middle / TURN - 0.25)  # within (-3 pi/2, pi/2], around an integrator's
+    middle -= TURN * np.ceil(middle / TURN - 0.25)  # into (-3 pi/2, pi/2], around the phase of an integrator, -pi/2
     phase -= TURN * np.round((phase[:, crossover] - middle) / TURN + OTHER_SIGN)[:, None]
     return phase - TURN * turns_apart(phase - np.median(phase, axis=0), crossover)
 
@@ -71,12 +74,13 @@ def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.n
 def turns_apart(difference: np.ndarray, start: int) -> np.ndarray:
     """Whole turns by which curves of phase differ from their median, shape (draws, frequencies).
 
-    The number of a curve changes only where the rest exceeds :data:`FARTHEST`. So a curve that is half a turn from the
-    median, as that of a loop of the other sign, keeps its side at all frequencies.
+    The number of turns of a curve changes only where the difference that remains without these turns exceeds
+    :data:`FARTHEST`. A curve that is half a turn from the median, as for a loop of the opposite sign, therefore stays
+    on its side of the median at all frequencies.
 
     Args:
         difference: Difference of each curve from the median [rad], shape (draws, frequencies).
-        start: Index of the frequency from which the curves are followed to both sides; no curve is shifted there.
+        start: Index of the frequency from which the curves are followed up and down; there the turns are 0.
     """
     turns = np.zeros(difference.shape)
     frequencies = difference.shape[1]
@@ -91,10 +95,10 @@ def pole_phase(poles: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Sum of the arguments of e^(j theta) - p over the poles p [rad], shape (draws, angles), continuous in theta.
 
     With z = e^(j theta), z - p = z (1 - p/z) for a pole inside the unit circle, and z - p = -p (1 - z/p) for a pole
-    outside. In both cases the second factor has a positive real part, so that its argument does not jump.
+    outside. In both cases the factor in brackets has a positive real part, so that its argument does not jump.
 
     Args:
-        poles: Shape (draws, states).
+        poles: Poles p of each draw, shape (draws, states).
         angles: theta, shape (angles,).
     """
     z = np.exp(1j * angles)

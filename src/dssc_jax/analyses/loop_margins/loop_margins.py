@@ -31,11 +31,11 @@ NO_EFFECT = 1e-12  # largest response of a break point that counts as without ef
 def loop_margins(study: Study, *, times: Sequence[float] = (), progress: ProgressCallback | None = None) -> LoopMargins:
     """Compute gain, phase, delay and disk margins, peak sensitivities, crossover and bandwidth of every draw.
 
-    The loop is linearised as it is sampled and simulated: one step of the simulation is differentiated. It is broken at
-    the command of each channel (``input``), and at each measurement alone (``output``, ``rate``), while all other loops
-    stay closed. DSSC is linearised in sliding, with the values of its functions at the operating point; at an
-    equilibrium these are the values at sigma = 0. Several channels also have the disk margin of all commands
-    perturbed at once.
+    The sampled loop is linearised by differentiating one step of the simulation. The loop is broken at one place at a
+    time, while all other loops stay closed: at the command of each channel (``input``) and at each measurement
+    (``output``, ``rate``). DSSC is linearised in sliding, with the values of its functions at the operating point; at
+    an equilibrium these are the values at sigma = 0. A loop with several channels also gets the disk margin of all
+    commands perturbed at once.
 
     Args:
         study: The study, or its file; its own sweep is ignored. Draws have to be independent.
@@ -89,8 +89,8 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
 class BrokenMatrices(NamedTuple):
     """The closed loops of n draws, with an input and an output at a break point: x+ = A x + b w, v = c x.
 
-    At the break point w is added to the signal v. Only draws with an operating point within the limits have such a
-    loop, and only the states are kept through which w acts on v.
+    At the break point w is added to the signal v. A draw has such a loop only if it has an operating point within the
+    limits. The states are reduced to those through which w acts on v.
 
     Args:
         has_closed_loop: Whether each draw is one of the n, shape (draws,).
@@ -108,7 +108,14 @@ class BrokenMatrices(NamedTuple):
 
 
 def matrices_by_break_point(study: Study, operating: Operating) -> dict[str, BrokenMatrices]:
-    """The closed loops at an operating point by break point; those without an effect are left out."""
+    """The closed loops at one operating point, by break point; break points without an effect are left out.
+
+    A break point has an effect if a signal added there comes back to it through some state, in at least one draw.
+
+    Args:
+        study: The study.
+        operating: Matrices of the loops of all draws at the operating point.
+    """
     matrices = operating.matrices
     by_name = {}
     for point, name in enumerate(place_names(study.loop.channels)):
@@ -125,7 +132,9 @@ def matrices_by_break_point(study: Study, operating: Operating) -> dict[str, Bro
 def margins_by_break_point(
     closed_loops: dict[str, BrokenMatrices], common_angles: np.ndarray, sample_time: float
 ) -> dict[str, BrokenLoop]:
-    """Margins and frequency responses at an operating point by break point, without those that have no effect.
+    """Margins and frequency responses at one operating point, by break point.
+
+    Break points at which the response is practically 0 are left out (:func:`broken_loop`).
 
     Args:
         closed_loops: The closed loops by break point.
@@ -141,7 +150,9 @@ def margins_by_break_point(
 
 
 def broken_loop(matrices: BrokenMatrices, common_angles: np.ndarray, sample_time: float) -> BrokenLoop | None:
-    """Compute margins and frequency responses of all draws at one break point; None if it has no effect.
+    """Compute margins and frequency responses of all draws at one break point.
+
+    None if no draw has a response above :data:`NO_EFFECT`, so that breaking the loop there has no effect.
 
     Args:
         matrices: The closed loops of the draws that have one.

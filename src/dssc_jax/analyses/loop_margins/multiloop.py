@@ -35,7 +35,7 @@ class MultiloopMargins(NamedTuple):
         channels: The channels whose commands have an effect.
         guaranteed: alpha that holds at all frequencies of the search, from an upper bound of mu, shape (draws,).
         attained: alpha of a perturbation that makes the loop singular, from a lower bound of mu, shape (draws,).
-        frequency: Frequency at which that perturbation does so [rad/s], shape (draws,).
+        frequency: Frequency at which that perturbation makes the loop singular [rad/s], shape (draws,).
         factors: Complex factor of each command in that perturbation, shape (draws, channels).
     """
 
@@ -74,7 +74,7 @@ class JointLoops(NamedTuple):
 
 
 class JointPlaces(NamedTuple):
-    """The commands that are perturbed together, and the part of the loop between them.
+    """The commands that are perturbed together, and the states through which they act on each other.
 
     Args:
         channels: Indices of the channels whose commands have an effect.
@@ -88,7 +88,10 @@ class JointPlaces(NamedTuple):
 
 
 class JointMargins(NamedTuple):
-    """The disk margin of each of n stable loops: the fields of :class:`MultiloopMargins` besides the channels."""
+    """The disk margin of each of n stable loops.
+
+    The fields are those of :class:`MultiloopMargins` without ``channels``; their first dimension is n instead of draws.
+    """
 
     guaranteed: np.ndarray
     attained: np.ndarray
@@ -99,9 +102,9 @@ class JointMargins(NamedTuple):
 def joint_places(
     channels: Sequence[str], matrices: StateMatrices, has_operating_point: np.ndarray
 ) -> JointPlaces | None:
-    """The commands that have an effect, and the states between them; None if they are fewer than two.
+    """The commands that have an effect, and the states between them; None if fewer than two commands have one.
 
-    A command has an effect if some state is both influenced by it and influences it, in one draw at least.
+    A command has an effect if, in at least one draw, some state is influenced by the command and influences it.
 
     Args:
         channels: Names of the channels.
@@ -168,7 +171,7 @@ def joint_margins(
         loops: The loops.
         poles: Eigenvalues of A, shape (n, states).
         sample_time: T_s [s].
-        bound: The upper bound of mu whose peak over frequency is searched.
+        bound: Function that computes the upper bounds of mu, whose peak over frequency is searched.
     """
     angles = grid_with_poles(loop_grids(poles), poles)
     critical_angle, largest_mu = peak_bound(loops, angles, bound)
@@ -179,9 +182,9 @@ def joint_margins(
 
 
 def balanced_bounds(matrices: np.ndarray) -> np.ndarray:
-    """Upper bounds of mu(M), shape (n,): norms of D M D^-1 with D that balances M.
+    """Upper bounds of mu(M), shape (n,): largest singular values of D M D^-1 with the diagonal D that balances M.
 
-    They are found faster than :func:`upper_bounds`, and are equal to them for two channels.
+    These bounds take less time than those of :func:`upper_bounds`; for two channels both are equal.
 
     Args:
         matrices: M, shape (n, channels, channels).
@@ -193,13 +196,13 @@ def balanced_bounds(matrices: np.ndarray) -> np.ndarray:
 def peak_bound(loops: JointLoops, angles: np.ndarray, bound: Bound = upper_bounds) -> tuple[np.ndarray, np.ndarray]:
     """The angle at which an upper bound of mu has its peak over frequency, and the bound there, shape (n,) each.
 
-    The balanced bound shows the peaks on the grid. The bound of interest decides among the highest ones, around which
-    a golden-section search refines it.
+    The balanced bound, which is fast, shows the peaks on the grid. ``bound`` is computed at the highest of them only,
+    and a golden-section search refines the angles of its own highest peaks.
 
     Args:
         loops: The loops.
         angles: Ascending angles of the grid, shape (n, m).
-        bound: The upper bound of mu.
+        bound: Function that computes the upper bounds of mu.
     """
     responses = loops.at(angles)
     count, columns, channels, _ = responses.shape
@@ -224,7 +227,9 @@ def peak_bound(loops: JointLoops, angles: np.ndarray, bound: Bound = upper_bound
 
 
 def highest_peaks(responses: np.ndarray) -> np.ndarray:
-    """Columns of the :data:`MOST_PEAKS` highest peaks of the balanced bound of mu, shape (n, peaks), the highest first.
+    """Indices of the angles at the :data:`MOST_PEAKS` highest peaks of the balanced bound of mu, shape (n, peaks).
+
+    The highest peak comes first.
 
     Args:
         responses: M = G + I/2 on a grid of angles, shape (n, m, channels, channels).

@@ -56,15 +56,15 @@ def operating_points(study: Study, times: tuple[float, ...]) -> OperatingPoints:
 def equilibria(resting: RestingLoop, draws: int) -> tuple[Operating, np.ndarray]:
     """Linearise the loop of every draw at its equilibrium, found by Newton's method from the initial state.
 
-    A state that no signal of the loop depends on, as an integrator whose gain is 0, need not be at rest.
+    A state on which no signal of the loop depends, such as an integrator with the gain 0, need not be at rest.
 
     Args:
         resting: The undisturbed loop of a study.
         draws: Number of draws.
 
     Returns:
-        The matrices of all draws, and a :class:`~dssc_jax.engine.linearisation.smooth_parts.Finding` on each part at
-        each draw's equilibrium, shape (draws, parts).
+        The matrices of all draws, and findings, shape (draws, parts): the
+        :class:`~dssc_jax.engine.linearisation.smooth_parts.Finding` on each part at each draw's equilibrium.
 
     Raises:
         ConfigError: No draw has an equilibrium, or the loop is not smooth there.
@@ -86,7 +86,7 @@ def equilibria(resting: RestingLoop, draws: int) -> tuple[Operating, np.ndarray]
     has_corner = np.any(findings == Finding.CORNER, axis=1)
 
     def next_states(pushed: np.ndarray) -> np.ndarray:
-        """The states of all draws one sample after some states, shape (draws, states) both."""
+        """The states of all draws one sample after the states ``pushed``, shape (draws, states) both."""
         return resting.linearise.next_states(values, indices, pushed, AT_REST, resting.smooth(draws))
 
     if is_smooth.any():
@@ -139,8 +139,9 @@ def operating_points_in_flight(
 def states_in_flight(study: Study, values: Arrays, indices: np.ndarray, samples: tuple[int, ...]) -> list[np.ndarray]:
     """The states of n draws before some samples of their flights, an array of shape (n, states) for each sample.
 
-    Before sample 0 a controller may not have begun, so that sample gets the state of sample 1. The time loop runs in
-    Python: compiling that of a vehicle takes minutes, and its single steps take seconds.
+    Before sample 0 a controller may not have begun, so sample 0 gets the state before sample 1. The time loop runs in
+    Python, because compiling the whole time loop of a vehicle takes minutes, while compiling and calling a single step
+    takes seconds.
 
     Args:
         study: The study, without a sweep.
@@ -150,11 +151,11 @@ def states_in_flight(study: Study, values: Arrays, indices: np.ndarray, samples:
     """
 
     def start(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
-        """The state of one draw before sample 1; traced."""
+        """The state of one draw before sample 1 as a vector, shape (states,); traced."""
         return start_state(study.loop, study.params(values), draw_key(study.config.seed, index))
 
     def advance(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> jax.Array:
-        """The state of one draw after sample k; traced."""
+        """The state of one draw after sample k, from its state before sample k, shape (states,) both; traced."""
         sample = sample_map(study.loop, study.params(values), draw_key(study.config.seed, index), k)
         nothing_added = jnp.zeros(len(place_names(study.loop.channels)), state.dtype)
         next_state, _ = sample(state, nothing_added)

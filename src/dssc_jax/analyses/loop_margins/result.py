@@ -20,11 +20,11 @@ MARGIN_UNIT = "that of the margin"
 
 
 class Status(IntEnum):
-    """Whether the linearised loop of a draw has margins: it does if it is stable."""
+    """Whether the linearised loop of a draw has margins: only a stable loop has."""
 
     STABLE = 0
     UNSTABLE = 1
-    NO_OPERATING_POINT = 2  # or one beyond a limit, where the loop is open
+    NO_OPERATING_POINT = 2  # or the operating point is beyond a limit, where the loop is open
 
 
 class MarginKind(NamedTuple):
@@ -69,9 +69,9 @@ class MarginStatistics:
 
 @dataclass(frozen=True)
 class LoopStatistics:
-    """How many draws have a stable loop, and statistics of their margins, at one break and operating point.
+    """How many draws have a stable loop, and statistics of their margins, at one break point and operating point.
 
-    In JSON the margins stand by their names among its own fields.
+    In JSON the entries of ``margins`` are merged into this object, each under the name of the margin.
     """
 
     stable: Annotated[int, Quantity("1", "draws with a stable loop")]
@@ -116,16 +116,16 @@ class LoopMarginsAnswer:
 class LoopMargins(Analysis):
     """Classical margins of every draw's linearised loop.
 
-    The dataset has along ``operating_point``, ``loop`` (the break point) and ``draw`` each of gain_upper, gain_lower,
-    phase, delay, disk, sensitivity_peak, complementary_peak, crossover and bandwidth, and ``status``. Along
-    ``frequency`` it has quantiles over the draws of the loop gain, its phase and both sensitivities (along ``level``),
-    and the loop transfer function of some draws (along ``line``). Where several commands have an effect,
-    ``multiloop_disk`` is the disk margin of all of them at once, ``multiloop_found`` that of a perturbation found, with
-    ``multiloop_frequency`` and, along ``channel``, ``multiloop_gain`` and ``multiloop_phase``.
+    The dataset has along ``operating_point``, ``loop`` (the break point) and ``draw`` the variables of
+    :data:`MARGIN_KINDS` and ``status`` (a :class:`Status`). Along ``frequency`` and ``level`` it has quantiles over the
+    draws of the loop gain, its phase and both sensitivities, and along ``frequency`` and ``line`` the loop transfer
+    function of some draws. Where several commands have an effect, ``multiloop_disk`` is the disk margin of all of them
+    perturbed at once. ``multiloop_found`` is the size alpha of a perturbation found that makes the loop oscillate, with
+    its ``multiloop_frequency`` and, along ``channel``, its ``multiloop_gain`` and ``multiloop_phase``.
 
     Args:
         times: Times of the operating points [s]; empty: the equilibrium.
-        taken: What is taken for parts of the loop that have no derivative, in words.
+        taken: The smooth substitutes that were taken for parts of the loop without a derivative, in words.
         seconds: Computing time [s].
     """
 
@@ -140,8 +140,8 @@ class LoopMargins(Analysis):
     def values(self, name: str, point: str, loop: str) -> np.ndarray:
         """One margin of every draw, shape (draws,).
 
-        A draw without a stable loop has the worst value. A stable loop whose response has no crossing that would
-        define the margin has an infinite one.
+        A draw without a stable loop has the worst value, -inf or inf. If the response of a stable loop has no crossing
+        that would define the margin, the margin is inf (``gain_lower``: 0).
 
         Args:
             name: Name of the margin.
@@ -249,7 +249,7 @@ def margin_statistics(values: np.ndarray, kind: MarginKind) -> MarginStatistics:
     """Median, worst case and tolerance limit of one margin over the draws.
 
     Args:
-        values: The margin of every draw, shape (draws,); infinite for a draw without one.
+        values: The margin of every draw, shape (draws,), as :meth:`LoopMargins.values` returns it.
         kind: The kind of margin.
     """
     lower_limit, upper_limit = tolerance_limits(values, SHARE_WITHIN, CONFIDENCE, kind.side)

@@ -27,8 +27,8 @@ ONE_WAY = 1e-8  # least ratio of row and column in a step, so that a coupling in
 def balancing_log_scales(matrices: np.ndarray) -> np.ndarray:
     """log D of the diagonal D that minimises the Frobenius norm of D M D^-1, shape (n, channels) (Osborne).
 
-    Each step scales one channel so that its row and its column become equally large. For two channels this D also
-    minimises the largest singular value.
+    Each step scales one channel so that its row and its column of D M D^-1, without the diagonal, become equally large.
+    For two channels this D also minimises the largest singular value.
 
     Args:
         matrices: M, shape (n, channels, channels).
@@ -75,10 +75,10 @@ def upper_bounds(matrices: np.ndarray) -> np.ndarray:
 def best_log_scales(matrices: np.ndarray) -> np.ndarray:
     """log D of the diagonal D that minimises the largest singular value of D M D^-1, shape (n, channels).
 
-    The ellipsoid method finds it: each step keeps the half of an ellipsoid in which the subgradient allows the minimum,
-    and encloses it by a smaller ellipsoid. It needs no smoothness; at the best D the two largest singular values are
-    often equal. Any D gives a valid bound of mu, so an inexact minimum is safe. The first log D stays 0, since a common
-    factor of D changes nothing.
+    The ellipsoid method finds D: each step keeps the half of an ellipsoid in which the subgradient allows the minimum,
+    and encloses this half by a smaller ellipsoid. The method needs no smoothness, which is missing at the best D, where
+    the two largest singular values are often equal. Any D gives a valid bound of mu, so an inexact minimum is safe. The
+    first entry of log D stays 0, since a common factor of D changes nothing.
 
     Args:
         matrices: M, shape (n, channels, channels).
@@ -99,7 +99,7 @@ def best_log_scales(matrices: np.ndarray) -> np.ndarray:
         to_edge = np.einsum("nij,nj->ni", ellipsoid, slope) / reach[:, None]  # from the centre to the edge, uphill
         centre = centre - np.where(is_moving[:, None], to_edge, 0.0) / (free + 1.0)
         square = to_edge[:, :, None] * to_edge[:, None, :]
-        smaller = free**2 / (free**2 - 1.0) * (ellipsoid - 2.0 / (free + 1.0) * square)  # about the lower half
+        smaller = free**2 / (free**2 - 1.0) * (ellipsoid - 2.0 / (free + 1.0) * square)  # encloses the lower half
         ellipsoid = np.where(is_moving[:, None, None], smaller, ellipsoid)
         logs = np.concatenate([np.zeros((count, 1)), centre], axis=1)
         norms, slopes = scaled_norms(matrices, logs)
@@ -147,12 +147,12 @@ def power_iteration(matrices: np.ndarray, start: np.ndarray) -> np.ndarray:
     """
 
     def unit(vectors: np.ndarray) -> np.ndarray:
-        """The entries divided by their moduli; 1 for an entry of 0."""
+        """The entries divided by their moduli, shape (n, channels); 1 in place of an entry of 0."""
         size = np.abs(vectors)
         return np.where(size > TINY, vectors / np.maximum(size, TINY), 1.0)
 
     def normalised(vectors: np.ndarray) -> np.ndarray:
-        """The vectors divided by their lengths."""
+        """The vectors divided by their lengths, shape (n, channels); a vector of length 0 stays 0."""
         return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), TINY)
 
     b = normalised(start)

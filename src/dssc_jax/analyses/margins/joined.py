@@ -16,12 +16,12 @@ from dssc_jax.study import Study
 
 
 def name_axis(dimension: str, names: Iterable[str], meaning: str) -> xr.DataArray:
-    """The names of a dimension's elements as its coordinate in a dataset.
+    """The coordinate of a dimension of a dataset whose elements have names.
 
     Args:
         dimension: Name of the dimension.
-        names: Name of each element.
-        meaning: What the elements are, in words.
+        names: Name of each element along the dimension, in order.
+        meaning: What the elements are, in words; the coordinate's ``long_name``.
     """
     return xr.DataArray(np.array(list(names)), dims=dimension, name=dimension, attrs={"long_name": meaning})
 
@@ -29,7 +29,7 @@ def name_axis(dimension: str, names: Iterable[str], meaning: str) -> xr.DataArra
 def join_margins(margins: Mapping[str, Margins], dimension: str, meaning: str) -> xr.Dataset:
     """Join the datasets of margins along a new dimension of names; :func:`split_margins` separates them again.
 
-    Where one of the margins lacks a variable, the variable is NaN.
+    A variable that only some of the margins have is NaN for the others.
 
     Args:
         margins: Margins by name.
@@ -43,7 +43,7 @@ def join_margins(margins: Mapping[str, Margins], dimension: str, meaning: str) -
 
 
 class MarginPart(NamedTuple):
-    """What a joined dataset does not say of one of its margins; :func:`split_margins` needs it.
+    """Facts about one of several joined margins that the joined dataset lacks; :func:`split_margins` needs them.
 
     Args:
         settings: The fields of :class:`Margins` besides study and dataset, as JSON.
@@ -58,14 +58,14 @@ class MarginPart(NamedTuple):
 
 @dataclass(frozen=True)
 class NamedMargins:
-    """The answer for the margins of a study, with the study's name, within an answer for several studies."""
+    """The answer for the margins of one study, with the study's name, as a part of an answer for several studies."""
 
     study: Annotated[str, Quantity("", "name of the study")]
     margins: MarginAnswer = field(metadata={MERGED: True})
 
 
 def medians_text(margins: Mapping[str, Margins]) -> str:
-    """Name and median critical value of each of several margins, in a line: ``dssc 0.41, sta before the start``."""
+    """The name and the median critical value of each of several margins, as in ``dssc 0.41, sta before the start``."""
     texts = []
     for name, margin in margins.items():
         median_text = "before the start" if margin.median is None else f"{margin.median:.4g}"
@@ -74,7 +74,7 @@ def medians_text(margins: Mapping[str, Margins]) -> str:
 
 
 def margin_parts(margins: Mapping[str, Margins]) -> dict[str, MarginPart]:
-    """What a joined dataset does not say of each of its margins, by name, for :func:`split_margins`."""
+    """The facts about each margin that a joined dataset lacks, by name of the margin, for :func:`split_margins`."""
     parts = {}
     for name, margin in margins.items():
         parts[name] = MarginPart(

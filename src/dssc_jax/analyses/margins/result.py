@@ -29,7 +29,7 @@ PARAMETER_UNIT = "that of the number"
 
 @dataclass(frozen=True)
 class Degradation:
-    """Failure probability along the walk, with its simultaneous band."""
+    """Failure probability along the walk, with a confidence band that holds for all its values together."""
 
     band: Annotated[str, Quantity("", "how the band is computed")]
     value: Annotated[np.ndarray, Quantity(PARAMETER_UNIT, "values of the walk's grid")]
@@ -110,7 +110,7 @@ class Margins(Analysis):
         compile_seconds: float = 0.0,
         unit: str = "1",
     ) -> Self:
-        """Make the margins of a study, from the critical values that a search found.
+        """Make the margins of a study from the critical values that a search found, without a proof.
 
         Args:
             study: The study.
@@ -140,10 +140,10 @@ class Margins(Analysis):
 
     @property
     def reached(self) -> np.ndarray:
-        """How far along the walk each draw passes, shape (draws,).
+        """A measure of how far along the walk each draw passes, shape (draws,); larger means farther.
 
-        It is the critical value, with its sign changed if the walk descends, so that a larger number is always farther.
-        Draws that fail at the start have -inf, draws that pass to the end inf.
+        The measure is the critical value, with its sign changed if the walk descends. A draw that fails at the start
+        has -inf, a draw that passes to the end inf.
         """
         critical = self.dataset["critical"].values
         censoring = self.dataset["censoring"].values
@@ -151,9 +151,9 @@ class Margins(Analysis):
         return np.where(censoring == Censoring.INSIDE, self.direction * critical, outside)
 
     def at_rank(self, rank: int) -> float | None:
-        """Return the critical value of the draw at a rank: 1 is the draw that fails nearest to the start of the walk.
+        """Return the critical value of the draw at a rank: rank 1 is the draw that fails nearest to the walk's start.
 
-        It is the walk's end if that draw passes to the end, and None if it fails at the start.
+        The value is the walk's end if the draw at this rank passes to the end, and None if it fails at the start.
         """
         reach_of_draw = np.sort(self.reached)[rank - 1]
         if np.isposinf(reach_of_draw):
@@ -164,14 +164,22 @@ class Margins(Analysis):
 
     @property
     def median(self) -> float | None:
-        """The median critical value: the walk's end if it lies beyond, None if before the start."""
+        """The median critical value: the walk's end if the median draw passes to the end, None if it fails at once.
+
+        For an even number of draws, the median is the one of the two middle values that is nearer to the walk's start.
+        """
         return self.at_rank((self.dataset.sizes["draw"] + 1) // 2)
 
     def lower_tolerance(self, content: float = CONTENT, confidence: float = CONFIDENCE) -> float | None:
         """Compute the value up to which a share ``content`` of all draws passes, with the given confidence (Wilks).
 
-        Censored draws keep their places in the order. None means that there are too few draws, or that the limit lies
-        before the walk's start. The walk's end means that the limit lies there or beyond.
+        Draws without a critical value within the walk count in the order, too: those that fail at the start come first,
+        those that pass to the end last. None means that there are too few draws, or that the limit lies before the
+        walk's start. If the limit lies at the walk's end or beyond, the walk's end is returned.
+
+        Args:
+            content: Share of all draws that pass.
+            confidence: Probability that the value keeps this promise.
 
         Reference:
             S. S. Wilks, Annals of Mathematical Statistics 12 (1941) 91-96.
@@ -182,8 +190,9 @@ class Margins(Analysis):
     def degradation(self, confidence: float = CONFIDENCE) -> xr.Dataset:
         """Failure probability along the walk, with a confidence band for all values of the grid together.
 
-        The intervals are exact (Clopper-Pearson), each at 1 - (1 - confidence)/points (Bonferroni). A draw may pass
-        again beyond a value at which it fails.
+        The interval at each value is exact (Clopper-Pearson), with the confidence 1 - (1 - confidence)/points
+        (Bonferroni). The probability need not grow along the walk, since a draw may pass again beyond a value at which
+        it fails.
 
         Returns:
             Dimension ``value``; variables ``probability``, ``lower``, ``upper``.
@@ -204,9 +213,10 @@ class Margins(Analysis):
 
     @property
     def first_violated(self) -> dict[str, int]:
-        """Number of draws whose first failure along the walk violates each requirement, the largest number first.
+        """For each requirement, the number of draws that violate it at their first failure along the walk.
 
-        Draws that end early there are counted as ``ended early``. Empty if the margins come from no simulation.
+        The largest number comes first. Draws whose first failure is an early end are counted as ``ended early``. The
+        dictionary is empty if the margins do not come from simulations.
         """
         if "violated_first" not in self.dataset:
             return {}

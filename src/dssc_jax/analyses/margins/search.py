@@ -18,7 +18,7 @@ CLOCK = "loop.sample_time"
 ROUNDING = 1e-9  # relative error within which a quotient of times is a whole number
 
 WalkSlack = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""(indices of draws, a value for each) -> signed slacks, negative if the draw fails."""
+"""(indices of draws, a value of the walk for each) -> signed slacks, negative if the draw fails."""
 
 
 class Censoring(IntEnum):
@@ -38,8 +38,8 @@ class Walk:
         end: The other end, larger or smaller than the start.
         log: Whether the values are even in the logarithm.
         points: Number of values in the bracketing grid, including both ends.
-        parted: The duration of the flight [s], if the number is the sample time: values then move to the nearest
-            value between both ends that divides the duration into whole samples. None for any other number.
+        parted: The duration of the flight [s] if the number is the sample time, else None. Values of a sample time are
+            moved to values within the walk that divide the duration into whole samples.
     """
 
     start: float
@@ -49,7 +49,7 @@ class Walk:
     parted: float | None = None
 
     def at(self, share: np.ndarray) -> np.ndarray:
-        """Return the values at shares of the way from the start, at 0, to the end, at 1; of the same shape."""
+        """Return the values of the walk at shares of the way, any shape: share 0 is the start, share 1 the end."""
         if self.log:
             value = np.exp((1.0 - share) * np.log(self.start) + share * np.log(self.end))
         else:
@@ -59,6 +59,7 @@ class Walk:
         value = np.clip(value, low, high)
         if self.parted is None:
             return value
+        # numbers of samples: the largest sample time has the fewest
         fewest = np.ceil(self.parted / high * (1.0 - ROUNDING))
         most = max(np.floor(self.parted / low * (1.0 + ROUNDING)), 1.0)
         return self.parted / np.clip(np.round(self.parted / value), fewest, most)
@@ -70,7 +71,7 @@ class Walk:
 
 
 class CriticalValues(NamedTuple):
-    """Value of the scanned parameter at which each of n draws starts to fail, as a search along a walk found it.
+    """The critical values of n draws, as a search along a walk found them.
 
     Args:
         value: The last passing value before the first failure; NaN if censored. Shape (n,).
@@ -103,10 +104,10 @@ class CriticalDraws(NamedTuple):
 class FirstViolated:
     """Record of the requirement that each of n draws violates at its failure nearest to the start of a walk.
 
-    A search tries the values of the walk in any order, so a nearer failure replaces the recorded failure.
-    ``requirement`` has shape (n,): the index of the requirement; the number of requirements for a draw that ended
-    early; -1 for a draw without a failure so far. ``distance`` is the distance of that failure from the start,
-    shape (n,).
+    A search may try the values of the walk in any order, so a failure nearer to the start replaces a recorded one.
+    ``requirement``, shape (n,), has the index of the violated requirement; the number of requirements for a draw that
+    ended early; -1 for a draw without a failure so far. ``distance``, shape (n,), is the distance of the recorded
+    failure from the start, in the unit of the walk; infinite without a failure.
 
     Args:
         draws: Number n of draws.
@@ -114,7 +115,7 @@ class FirstViolated:
     """
 
     def __init__(self, draws: int, start: float) -> None:
-        """Record no failure of any draw."""
+        """Begin without a failure of any draw."""
         self.start = start
         self.requirement = np.full(draws, -1)
         self.distance = np.full(draws, np.inf)
@@ -124,9 +125,9 @@ class FirstViolated:
 
         Args:
             draws: Indices of the draws, shape (m,).
-            values: The value of the walk at which each was simulated, shape (m,).
+            values: The value of the walk at which each draw was simulated, shape (m,).
             study: The study, for its requirements.
-            results: Results of these simulations.
+            results: Results of these simulations by name, shape (m,) each.
         """
         requirements = study.requirements
         slack = worst_slack(requirements, results)
@@ -142,7 +143,10 @@ class FirstViolated:
 
 
 def join_critical(blocks: Sequence[CriticalValues]) -> CriticalValues:
-    """Join the critical values of blocks of draws in order; ``first_violated`` is known in all blocks or in none."""
+    """Join the critical values of blocks of draws, in the order of the blocks.
+
+    Either all blocks know ``first_violated``, or none does.
+    """
     first_violated = [block.first_violated for block in blocks if block.first_violated is not None]
     return CriticalValues(
         value=np.concatenate([block.value for block in blocks]),
@@ -163,7 +167,8 @@ def search_critical(slack_at: WalkSlack, draws: int, walk: Walk, bisections: int
         bisections: Number of bisections of the grid cell that contains the first failure.
 
     Returns:
-        Critical values. The draw passes there, and fails at most one cell/2^bisections further along the walk.
+        The critical values. A draw passes at its critical value, and fails at most one cell/2^bisections further along
+        the walk. ``first_violated`` is None.
     """
     indices = np.arange(draws)
     slack = np.stack([slack_at(indices, np.full(draws, value)) for value in walk.grid])
@@ -176,7 +181,7 @@ def search_critical(slack_at: WalkSlack, draws: int, walk: Walk, bisections: int
     crossing_draws = np.flatnonzero(censoring == Censoring.INSIDE)
 
     def crossing_draws_pass(share: np.ndarray) -> np.ndarray:
-        """Whether each crossing draw passes at a share of the walk."""
+        """Whether each draw whose first failure is within the walk passes at a share of the walk, shape (draws,)."""
         return slack_at(crossing_draws, walk.at(share)) >= 0.0
 
     if crossing_draws.size:

@@ -31,7 +31,7 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study, takes_file
 from dssc_jax.study.laws import SPREAD
 
-SPREAD_HALVINGS = 10  # in the search for the largest admissible spread
+SPREAD_HALVINGS = 10  # halvings in the search for the largest admissible spread
 
 
 @takes_file
@@ -48,16 +48,17 @@ def margin(
 ) -> Margins:
     """Find the critical value of a number of the loop for every draw: the last value before the draw first fails.
 
-    The number replaces its law; everything else is drawn. With ``spread`` instead of a number, all laws are widened
-    together: each drawn number's distance from the median is scaled by the value, in the logarithm if the law is
-    logarithmic. The critical values are then margins of the uncertainty as a whole, and the degradation curve is the
-    failure probability over nested laws with the same draws. If there are no requirements, a draw fails if it becomes
-    non-finite.
+    The value of the walk replaces the law of the number; all other uncertain numbers are drawn. With ``spread`` instead
+    of a number, all laws are widened together: each drawn number's distance from its median is multiplied by the value
+    of the walk, in the logarithm if the law is logarithmic. The critical values are then margins of the uncertainty as
+    a whole, and the degradation curve is the failure probability over nested laws with the same draws. Without
+    requirements, a draw fails if it becomes non-finite.
 
     Args:
         study: The study, or its file; its own sweep is ignored.
-        over: Dotted name of the number, e.g. ``unmodelled.mu``, or ``spread``. ``loop.sample_time`` is fixed before
-            tracing: its grid is rounded to whole numbers of samples, with one program for each value and no bisection.
+        over: Dotted name of the number, e.g. ``unmodelled.mu``, or ``spread``. The grid of ``loop.sample_time`` is
+            rounded to values that divide the flight into whole samples. Each of its values needs a program of its own,
+            since the sample time is fixed before tracing, and there is no bisection.
         bounds: The safe end, where draws are expected to pass, then the other end, which may be smaller.
         log: Space the values evenly in the logarithm.
         points: Number of values in the bracketing grid. A failure between two neighbouring values is not noticed if the
@@ -65,7 +66,7 @@ def margin(
         bisections: Number of bisections of the grid cell.
         prove: Also prove the sampled loop along the walk, for all plants of the laws at once, as far as a proof is
             found (:func:`dssc_jax.proved_up_to`).
-        progress: Called with the lanes done.
+        progress: Called with the lanes done (one simulation of one draw each) and their largest number.
 
     Raises:
         ConfigError: The number, or a bound, is not admissible, or the draws are not independent.
@@ -127,7 +128,8 @@ def admissible_walk(
 ) -> Walk:
     """Make the walk of a search, if its settings are admissible.
 
-    Its ends are values that it reaches: the last sample times within the bounds that divide the flight.
+    For a sample time, the ends of the walk are moved from the bounds to sample times within the bounds that divide the
+    flight into whole samples.
 
     Args:
         over: Dotted name of the number.
@@ -161,8 +163,8 @@ def admissible_walk(
 def numbers_along(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
     """Return a function that puts the values of a walk into drawn numbers: (numbers, values) -> the numbers of n lanes.
 
-    Numbers and values have the shape (n,) each. A value of the walk replaces the drawn value of its number. A value of
-    ``spread`` moves all drawn values, by their distance from the median.
+    Numbers and values have the shape (n,) each. A value of the walk replaces the drawn value of the walked number. With
+    ``spread``, the value multiplies the distance of every drawn number from the median of its law.
 
     Args:
         study: The study, for its laws.
@@ -174,7 +176,7 @@ def numbers_along(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arr
         return {**numbers, over: values}
 
     def with_spread(numbers: Arrays, values: np.ndarray) -> Arrays:
-        """Return the drawn numbers under laws that are widened by factors."""
+        """Return the drawn numbers under laws that are widened by the factors ``values``."""
         return {name: study.laws[name].spread(column, values) for name, column in numbers.items()}
 
     return with_spread if over == SPREAD else with_number
@@ -188,8 +190,8 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
         bounds: Both ends of the walk of ``spread``, the factor.
 
     Raises:
-        ConfigError: There is no law, or widened draws leave the admissible range of a number; the message has the
-            largest factor at which all stay inside.
+        ConfigError: No law can be widened, a factor is negative, or widened draws leave the admissible range of a
+            number; the message then has the largest factor at which all draws stay inside.
     """
     if not any(law.movable for law in study.laws.values()):
         raise ConfigError(SPREAD, "nothing is uncertain that could be widened; give at least one number a law")
@@ -202,7 +204,7 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
         return
 
     def stays_inside(share: np.ndarray) -> bool:
-        """Whether all draws stay in their ranges at a share of the largest factor."""
+        """Whether all draws stay in the admissible ranges if laws are widened by this share of the largest factor."""
         return not range_violations(study, columns, float(share) * widest)
 
     share, _ = bisect(stays_inside, inside=0.0, outside=1.0, halvings=SPREAD_HALVINGS)
@@ -212,12 +214,12 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
 
 
 def range_violations(study: Study, columns: Arrays, spread: float) -> list[str]:
-    """A sentence for each number that leaves its admissible range if all laws are widened by a factor.
+    """One clause for the error message for each number that leaves its admissible range if all laws are widened.
 
     Args:
         study: The study.
         columns: Value of each uncertain number in each draw, shape (draws,) each.
-        spread: The factor.
+        spread: The factor by which all laws are widened.
     """
     widened = {name: study.laws[name].spread(column, spread) for name, column in columns.items()}
     return [f"{name} {rule}" for name, rule in study.violations(widened).items()]
@@ -233,7 +235,7 @@ def critical_numbers(
         over: Dotted name of the number, or ``spread``.
         walk: The walk to search.
         bisections: Number of bisections of a grid cell.
-        clock: Counts lanes and compile time.
+        clock: Counts lanes (simulations of one draw each) and compile time.
         progress: Called with the lanes done and their largest number.
     """
     if over == SPREAD:
@@ -282,7 +284,10 @@ def critical_block(
     violated = FirstViolated(len(indices), walk.start)
 
     def slack_at(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Simulate some lanes of the block, each at a value of the walk, and record what they violate."""
+        """Simulate draws of the block, each at a value of the walk, record what they violate, and return their slacks.
+
+        ``lanes`` are positions of draws within the block, shape (m,).
+        """
         drawn_numbers = {name: column[lanes] for name, column in laws.items()}
         results = evaluator(indices[lanes], numbers_at(drawn_numbers, values))
         slack = violated.record(lanes, values, evaluator.swept, results)
@@ -305,7 +310,8 @@ def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: Prog
         progress: Called with the lanes done and their total.
 
     Raises:
-        ConfigError: Two values of the grid fall on the same number of samples, or it follows from parameters.
+        ConfigError: Two values of the grid fall on the same number of samples, or the sample time follows from
+            parameters.
     """
     study.require_free(CLOCK)
     if len(set(walk.grid)) < walk.points:
@@ -316,7 +322,11 @@ def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: Prog
     violated = FirstViolated(study.config.draws, walk.start)
 
     def slack_at(draws: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Simulate all draws at a sample time, which is the same for all, and record what they violate."""
+        """Simulate all draws at one sample time, record what they violate, and return their slacks.
+
+        All entries of ``values`` are this sample time: without bisection, all draws are tried at one grid value after
+        the other.
+        """
         study_at_value = studies[values[0]]
         layout = Layout.of(study_at_value)
         engine = Engine(study_at_value, layout.lanes, clock=clock)

@@ -64,7 +64,9 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
 
 
 def noise_and_command(run: xr.Dataset, channel: str, after: float) -> tuple[xr.DataArray, xr.DataArray]:
-    """The error of the measured sigma and the robust command over time, shape (samples,) each, with their units.
+    """Read two signals from a trajectory: the error of the measured sigma, and the robust command.
+
+    Both have the shape (samples,), and their units as attributes.
 
     Args:
         run: A trajectory with every sample.

@@ -43,8 +43,9 @@ class ProbabilityAnswer:
 class FailureProbability(Analysis):
     """The failure probability of a study, from strata along a predicted border of failure.
 
-    The dataset has along ``stratum`` the number of ``draws`` and of ``failures``, and the ``upper`` edge of the
-    predicted slack. Along ``net`` and ``stratum`` it has ``weight``, the probability of the stratum by that Sobol net.
+    The dataset has along ``stratum`` the number of ``draws`` and of ``failures``, and ``upper``, the upper edge of the
+    stratum as a scaled predicted slack (infinite for the last one). Along ``net`` and ``stratum`` it has ``weight``,
+    the probability of the stratum by each of several Sobol nets.
 
     Args:
         width: Width of the interval that was asked for.
@@ -60,7 +61,7 @@ class FailureProbability(Analysis):
 
     @classmethod
     def of(cls, study: Study, width: float, estimate: StratifiedEstimate) -> Self:
-        """The analysis of an estimate for a study, whose strata it keeps in a dataset.
+        """Make the analysis of an estimate, with its strata in a dataset.
 
         Args:
             study: The study without a sweep.
@@ -95,7 +96,7 @@ class FailureProbability(Analysis):
         return f"failure probability {self.estimate.probability:.4g} in [{low:.4g}, {high:.4g}]"
 
     def figure(self) -> Figure:
-        """Plot probability and draws of each stratum, and the share of its draws that failed."""
+        """Plot the probability and the draws of each stratum, and the share of failed draws in it."""
         return plotting.strata(self)
 
     @property
@@ -125,8 +126,8 @@ def probability(
 ) -> FailureProbability:
     """Estimate a study's failure probability at its own values.
 
-    A pilot of plain draws predicts where draws fail. Further draws are spent where the prediction is in doubt. The
-    interval holds however bad the prediction is.
+    A pilot sample of plain draws predicts where draws fail. Further draws are spent where the prediction is in doubt.
+    The interval is valid even if the prediction is bad.
 
     Args:
         study: The study, or its file; its sweep, its number of draws and its ``sampling`` are ignored.

@@ -37,7 +37,7 @@ class StratifiedEstimate:
 
     Args:
         simulations: Number of simulations, for the prediction and in the strata.
-        weights: Probability of each stratum from each net, shape (nets, strata).
+        weights: Probability of each stratum, computed from each of several Sobol nets, shape (nets, strata).
         failures: Failed draws of each stratum, shape (strata,).
         draws: Draws of each stratum, shape (strata,).
         edges: Scaled predicted slacks between the strata, shape (strata - 1,).
@@ -62,14 +62,14 @@ class StratifiedEstimate:
 def strata_edges(predictions: np.ndarray) -> np.ndarray:
     """Edges of strata in the predicted slack, in ascending order: fine near 0, coarse far from it.
 
-    The border of failure, 0, is an edge. Away from it in both directions, each stratum is more probable than its
-    neighbour nearer to the border.
+    The edge at the border of failure is the smallest prediction that is not negative. Away from the border in both
+    directions, each stratum is more probable than its neighbour nearer to the border.
 
     Args:
         predictions: Predicted slacks of a plain sample, shape (n,).
 
     Returns:
-        Shape (strata - 1,).
+        The edges, shape (strata - 1,); each is a prediction of the sample.
     """
     sorted_predictions = np.sort(predictions)
     count = len(sorted_predictions)
@@ -91,7 +91,8 @@ def stratified_probability(
 ) -> StratifiedEstimate:
     """Estimate a failure probability with an interval of about a given width, by strata of a predicted slack.
 
-    Plain draws give the prediction. If many draws will follow, extra draws near its border improve it first.
+    Plain draws give the prediction. If many draws are planned for the strata, extra draws near the predicted border of
+    failure improve the prediction first.
 
     Args:
         slack: Computes slacks at points of the unit cube.
@@ -125,7 +126,7 @@ def stratified_probability(
 
 
 def stratum_counts(edges: np.ndarray, predictions: np.ndarray) -> np.ndarray:
-    """Count the points in each stratum, shape (strata,).
+    """Count the points in each stratum, shape (strata,); a stratum includes its upper edge.
 
     Args:
         edges: Edges of the strata, shape (strata - 1,).
@@ -145,7 +146,7 @@ def improve_surrogate(surrogate: Surrogate, sample: np.ndarray, extra_draws: int
         surrogate: The prediction from the pilot's draws.
         sample: Plain points of the unit cube, shape (n, d).
         extra_draws: Number of extra draws.
-        counter: Computes their slacks.
+        counter: Computes the slacks of the extra draws.
     """
     distances = np.abs(surrogate(sample))
     nearest = np.argsort(distances)[: BAND * extra_draws]
@@ -153,7 +154,7 @@ def improve_surrogate(surrogate: Surrogate, sample: np.ndarray, extra_draws: int
     points = np.concatenate([surrogate.points, border_points])
     slacks = np.concatenate([surrogate.slacks, counter(border_points, counter.unused_noise(extra_draws))])
     is_in_band = np.abs(surrogate(points)) <= distances[nearest[-1]]
-    expected_pilot_draws = PILOT * len(nearest) / len(sample)  # in the band
+    expected_pilot_draws = PILOT * len(nearest) / len(sample)  # draws of the pilot expected in the band
     weight_in_band = expected_pilot_draws / (expected_pilot_draws + extra_draws)
     return Surrogate(points, slacks, np.where(is_in_band, weight_in_band, 1.0))
 
@@ -183,7 +184,7 @@ def plan_strata(
 def points_in_strata(
     surrogate: Surrogate, edges: np.ndarray, draws: np.ndarray, dimension: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw independent points of the unit cube, a fixed number in each stratum, by rejection.
+    """Draw independent points of the unit cube by rejection, until each stratum has a fixed number of points.
 
     Args:
         surrogate: The prediction.

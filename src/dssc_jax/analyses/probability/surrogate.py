@@ -22,7 +22,8 @@ def scale_slacks(slacks: np.ndarray, level: float = 0.25) -> np.ndarray:
     A spline predicts the scaled slack well on both sides of the border of failure.
 
     Args:
-        slacks: The slacks s, shape (n,); -inf, of a draw without a slack, is replaced by the smallest.
+        slacks: The slacks s, shape (n,). A slack that is not finite, such as -inf for a draw without a slack, is
+            replaced by the smallest finite slack, or by minus the scale if that is smaller.
         level: The scale is this quantile of |s|; 1 if it is 0.
     """
     finite = np.isfinite(slacks)
@@ -82,8 +83,8 @@ def fit_interpolation(points: np.ndarray, values: np.ndarray) -> Interpolation:
 def spline_matrix(points: np.ndarray, smoothing: float) -> np.ndarray:
     """The symmetric matrix of the linear equations for the coefficients of a spline :class:`Interpolation`.
 
-    The first n equations set the values at the points. The others make the coefficients c_i orthogonal to every linear
-    function.
+    The first n equations set the values at the points. The other d + 1 equations make the coefficients c_i orthogonal
+    to the constant and to each coordinate of the points x_i.
 
     Args:
         points: Points x_i, shape (n, d).
@@ -105,8 +106,8 @@ def spline_matrix(points: np.ndarray, smoothing: float) -> np.ndarray:
 class Surrogate:
     """A prediction of the slack at any point of the unit cube, from simulated points.
 
-    A logistic curve gives the probability of failure at a predicted slack. It is fitted to predictions by
-    cross-validation, whose errors are as large as at new points.
+    A logistic curve gives the probability of failure at a predicted slack. The curve is fitted to predictions by
+    cross-validation, whose errors are about as large as the errors at new points.
 
     Args:
         points: Simulated points of the unit cube, shape (n, d).
@@ -123,7 +124,7 @@ class Surrogate:
     curve: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        """Fit the prediction to all points, and the logistic curve to predictions of points that are left out."""
+        """Fit the prediction to all points, and the logistic curve to predictions of points left out of the fit."""
         values = scale_slacks(self.slacks)
         self.function = fit_interpolation(self.points, values)
         predicted = np.empty(len(values))
@@ -166,7 +167,7 @@ def logistic_curve(predictions: np.ndarray, failed: np.ndarray, counts: np.ndarr
     signs = np.where(failed, 1.0, -1.0)
 
     def loss(curve: np.ndarray) -> float:
-        """Negative log likelihood of the failures, plus a normal prior that keeps the curve finite."""
+        """Negative log likelihood of the failures, plus a normal prior on ``curve`` (a, b), which keeps both finite."""
         intercept, slope = curve
         surprise = counts @ np.logaddexp(0.0, -signs * (intercept - slope * predictions))
         return float(surprise + PRIOR * (intercept**2 + slope**2))

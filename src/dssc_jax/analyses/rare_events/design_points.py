@@ -33,15 +33,17 @@ CURVATURE_STEP = 0.05  # step of a difference of slopes
 
 
 class DesignPoint(NamedTuple):
-    """The failure that is nearest to the median draw, at least locally.
+    """A failure that is nearer to the median draw than all failures around it.
 
-    The failures around it have a probability of about Phi(-beta), with the standard normal distribution Phi and the
-    distance beta. This is FORM: it replaces the border of failure by its tangent. SORM takes a paraboloid instead.
+    The failures around this point have a probability of about Phi(-beta), with the standard normal distribution Phi and
+    the distance beta. FORM, the first-order method, finds this by replacing the border of failure by its tangent. SORM,
+    the second-order method, takes a paraboloid instead.
 
     Args:
         point: Coordinates in standard normal space, shape (d,).
         distance: Distance beta from the origin, which is the median draw.
-        second_order: Ratio of SORM's probability to FORM's; NaN if it is unknown or SORM does not exist.
+        second_order: Ratio of the probability by SORM to the probability by FORM; NaN if it is not computed yet, or if
+            the paraboloid does not bound the failures.
     """
 
     point: np.ndarray
@@ -62,16 +64,17 @@ class DesignPoint(NamedTuple):
 def find_design_points(slacks_and_slopes: SlopeFunction, starts: np.ndarray) -> list[DesignPoint]:
     """Different design points, the nearest to the median draw first, from searches that start at several points.
 
-    The searches advance together, so that slacks are computed in batches. Each steps towards the point of the border's
-    tangent that is nearest to the origin. A step that lowers the merit too little is refused, and the next is shorter.
+    All searches advance together, so that slacks are computed in batches. Each search steps towards the point nearest
+    to the origin on the tangent of the border of failure. A step that lowers the merit (:func:`merits`) too little is
+    refused, and the next trial is shorter.
 
     Args:
         slacks_and_slopes: Computes the slacks and slopes of points.
         starts: The points at which the searches start, shape (n, d).
 
     Returns:
-        The design points, without points far beyond the nearest, and without SORM's factor, which
-        :func:`with_curvature` adds.
+        The design points; those much farther away than the nearest one are left out. ``second_order`` is NaN;
+        :func:`with_curvature` computes it.
     """
     points = starts
     slacks, slopes = slacks_and_slopes(points)
@@ -103,7 +106,7 @@ def find_design_points(slacks_and_slopes: SlopeFunction, starts: np.ndarray) -> 
 
 
 def tangent_steps(points: np.ndarray, slacks: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Steps to the points of the border's tangent that are nearest to the origin, and the penalties of the merit.
+    """Steps of searches to the point nearest to the origin on the border's tangent, and penalties of the merit.
 
     At the point u with the slack g, the step is (grad g.u - g)/|grad g|^2 grad g - u, and the penalty is
     c = 2 |u|/|grad g|, large enough for the step to lower the merit.
@@ -135,12 +138,12 @@ def merits(points: np.ndarray, slacks: np.ndarray, penalties: np.ndarray) -> np.
 
 
 def distinct_points(points: np.ndarray, order: Iterable[int], distance: float, limit: int) -> list[int]:
-    """Indices of points that lie apart from each other: an earlier point in the order keeps its neighbours out.
+    """Indices of points that lie apart from each other: each point taken excludes the later points near it.
 
     Args:
-        points: Shape (n, d).
+        points: The points, shape (n, d).
         order: Indices of points, in the order in which they are considered.
-        distance: Distance that a point must exceed from all that were taken before.
+        distance: A point is taken only if it is farther than this from all points taken before.
         limit: Largest number of indices.
     """
     taken: list[int] = []
@@ -154,10 +157,11 @@ def distinct_points(points: np.ndarray, order: Iterable[int], distance: float, l
 
 
 def with_curvature(slacks_and_slopes: SlopeFunction, design_point: DesignPoint) -> DesignPoint:
-    """The design point with SORM's factor: the ratio of the probability behind the border's paraboloid to FORM's.
+    """A copy of a design point with ``second_order``, the ratio of the probability by SORM to the probability by FORM.
 
-    The factor is prod (1 + beta kappa_i)^(-1/2), with the distance beta and the border's curvatures kappa_i. Second
-    derivatives of the slack are differences of slopes. The factor stays NaN where it does not exist.
+    The ratio is prod (1 + beta kappa_i)^(-1/2), with the distance beta and the border's curvatures kappa_i. Second
+    derivatives of the slack are differences of slopes. The ratio is NaN if some 1 + beta kappa_i is not positive, or
+    if the curvatures cannot be computed.
 
     Args:
         slacks_and_slopes: Computes the slacks and slopes of points.
@@ -165,7 +169,7 @@ def with_curvature(slacks_and_slopes: SlopeFunction, design_point: DesignPoint) 
     """
     point = design_point.point
     dimension = len(point)
-    if dimension == 1 or design_point.distance == 0.0:  # the border has no curvature, or it does not matter
+    if dimension == 1 or design_point.distance == 0.0:  # the border has no curvature, or beta = 0 makes every factor 1
         return design_point._replace(second_order=1.0)
     shifts = CURVATURE_STEP * np.concatenate([np.eye(dimension), -np.eye(dimension)])
     _, slopes = slacks_and_slopes(point + shifts)

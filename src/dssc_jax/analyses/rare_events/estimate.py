@@ -50,7 +50,7 @@ class PlainSimulations(NamedTuple):
 
     @property
     def draws(self) -> PlainDraws:
-        """Their number, and the draws that failed."""
+        """The number of plain draws, and the points of those that failed."""
         return PlainDraws(len(self.points), self.points[self.slacks < 0.0])
 
 
@@ -71,13 +71,15 @@ def simulate_plain_draws(
 
 @dataclass(frozen=True)
 class Estimate(ABC):
-    """A rare failure's probability by a method, and plain draws that replace its answer if they contradict it.
+    """The probability of a rare failure, estimated by some method and checked by plain draws.
+
+    The answer of the plain draws replaces the answer of the method if the two contradict each other.
 
     Args:
         simulations: Number of simulations of the method, without the plain draws.
         points: Failing points of the method in standard normal space, shape (n, d).
         noise_index: Index of the in-loop noise of each point, shape (n,).
-        weights: Weight of each point, proportional to the probability that it stands for, shape (n,).
+        weights: Weight of each point, proportional to the probability that the point stands for, shape (n,).
         plain: The plain draws.
     """
 
@@ -99,7 +101,7 @@ class Estimate(ABC):
     @property
     @abstractmethod
     def variation(self) -> float:
-        """Coefficient of variation of :attr:`mean`: its standard deviation relative to itself."""
+        """Coefficient of variation of :attr:`mean`: its standard deviation divided by its value."""
 
     @property
     @abstractmethod
@@ -139,7 +141,9 @@ class Estimate(ABC):
 
     @property
     def equivalent_draws(self) -> float:
-        """Number of plain draws that would give the same coefficient of variation; infinite without failures.
+        """Number of plain draws that would estimate the probability with the same coefficient of variation.
+
+        Infinite without failures.
 
         The share of n draws has the coefficient of variation sqrt((1 - p)/(n p)) at the failure probability p.
         """

@@ -128,7 +128,7 @@ def variation_of_sum(weights: np.ndarray) -> float:
 
 
 class Candidates(NamedTuple):
-    """Points of the mixture, from which a few are chosen by chance and simulated.
+    """Points of the mixture, of which a few are chosen at random and simulated.
 
     Args:
         points: Coordinates in standard normal space, shape (n, d).
@@ -155,19 +155,19 @@ class Candidates(NamedTuple):
         return np.minimum(1.0, count * ((1.0 - BLIND) * shares + BLIND / len(scores)))
 
     def informative_chances(self, count: int) -> np.ndarray:
-        """Chances that prefer points whose failure is in doubt, for ``count`` simulations that improve the prediction.
+        """Chances that prefer points whose failure is in doubt, shape (n,): they improve the prediction most.
 
-        The score of a point is its mass times the standard deviation sqrt(p (1 - p)) of its failure.
+        The score of a point is its mass times sqrt(p (1 - p)), where p is its predicted probability of failure.
         """
         doubts = np.sqrt(self.failure_probabilities * (1.0 - self.failure_probabilities))
         return self.selection_chances(self.masses * doubts, count)
 
     def efficient_chances(self, count: int) -> np.ndarray:
-        """Chances that give the estimate its least variance by ``count`` simulations, if the prediction is right."""
+        """Chances that give the estimate the least variance if the prediction is right, shape (n,)."""
         return self.selection_chances(self.masses * np.sqrt(self.failure_probabilities), count)
 
     def sample_size(self, variation: float) -> int:
-        """Number of points to simulate for a given coefficient of variation of the estimate, by the prediction.
+        """Predict how many points have to be simulated for a given coefficient of variation of the estimate.
 
         With n simulations the variance of the estimate is about V/n, where V = sum_i m_i^2 p_i/c_i. The candidate i
         has the mass m_i, fails with probability p_i, and has the chance c_i of being the only point simulated.
@@ -181,9 +181,9 @@ class Candidates(NamedTuple):
 
 
 def systematic_sample(chances: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Draw indices of points, each with its chance, so that their number is nearly the sum of the chances.
+    """Draw indices of points, each with its own chance, so that the number of indices is nearly the sum of the chances.
 
-    The chances are laid end to end in random order, and a comb with teeth at distance 1 picks the points that it hits.
+    Segments as long as the chances are laid end to end in random order; a comb with teeth at distance 1 picks points.
 
     Args:
         chances: Chance of each point, in [0, 1], shape (n,).
@@ -200,7 +200,7 @@ def systematic_sample(chances: np.ndarray, rng: np.random.Generator) -> np.ndarr
 
 @dataclass
 class DesignSearch:
-    """The search for design points: simulated points, the prediction from them, and the design points it leads to.
+    """The state of a search for design points: simulated points, and the prediction and design points from them.
 
     Args:
         counter: Computes slacks.
@@ -221,12 +221,13 @@ class DesignSearch:
     def learn(self, points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> None:
         """Fit the prediction with further simulated points, and search for its design points.
 
-        The searches start from the failing points nearest to the median draw, then from points with the least slacks.
+        Searches start from the failing points, those nearest to the median draw first, and if there are too few, from
+        the points with the least slacks.
 
         Args:
             points: The further points, shape (n, d).
             slacks: Slack at each of them, shape (n,).
-            smoothings: Smoothings among which the prediction takes the likeliest.
+            smoothings: Values of the smoothing to try; the likeliest is taken.
         """
         self.points = np.concatenate([self.points, points])
         self.slacks = np.concatenate([self.slacks, slacks])
@@ -238,9 +239,10 @@ class DesignSearch:
         self.design_points = find_design_points(self.prediction.slacks_and_slopes, starts)
 
     def draw_candidates(self, count: int) -> Candidates:
-        """Draw about ``count`` points of a mixture that is fitted to the predicted failures around the design points.
+        """Draw about ``count`` points of a mixture of normal laws fitted to the predicted failures.
 
-        The fit starts from a unit normal law at each design point, weighted by FORM's failure probability there.
+        The fit starts from a normal law with unit covariance at each design point, weighted by the failure probability
+        that FORM gives there.
         """
         means = np.array([design_point.point for design_point in self.design_points])
         probabilities = np.array([design_point.first_order_probability for design_point in self.design_points])
@@ -254,7 +256,7 @@ class DesignSearch:
         return Candidates(points, masses, self.prediction.failure_probability(points))
 
     def simulate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Simulate points of shape (n, d) with in-loop noise that no other point has.
+        """Simulate points of shape (n, d), each with in-loop noise that no other point has.
 
         Returns:
             The slacks and the indices of the noise, shape (n,) each.
@@ -263,9 +265,10 @@ class DesignSearch:
         return self.counter(points, noise_index), noise_index
 
     def improve(self, variation: float) -> None:
-        """Simulate points of the wide law, and then in rounds points near the design points, and learn from them.
+        """Improve the prediction in rounds of simulations.
 
-        The rounds end when the answer is expected to take few points, after :data:`MOST_ROUNDS`, or as soon as the
+        The first round simulates points of the wide law, each further round the design points and points near them. The
+        rounds end when the answer is expected to take few points, after :data:`MOST_ROUNDS`, or as soon as the
         prediction has no design point.
 
         Args:
@@ -275,7 +278,7 @@ class DesignSearch:
         new_points = WIDE * self.rng.standard_normal((EXPLORED, dimension))
         for round_index in range(MOST_ROUNDS):
             slacks, _ = self.simulate(new_points)
-            keeps_smoothing = 0 < round_index < ROUNDS  # the first and the late rounds choose it anew
+            keeps_smoothing = 0 < round_index < ROUNDS  # the first round and the late rounds choose the smoothing anew
             self.learn(new_points, slacks, (self.prediction.smoothing,) if keeps_smoothing else SMOOTHINGS)
             if not self.design_points:
                 return
@@ -294,12 +297,12 @@ def importance_sampling(
 
     Args:
         slack: Computes slacks in standard normal space; -inf or NaN: the point fails without a slack.
-        dimension: Number d of coordinates of that space.
+        dimension: Number d of coordinates of standard normal space.
         seeds: Seeds of the random numbers.
         settings: The settings.
 
     Returns:
-        The estimate, or the reason why there is none.
+        The estimate; or in words, the reason why there is none.
     """
     counter = SlackCounter(slack)
     plain = simulate_plain_draws(counter, generator(*seeds, stream("plain")), settings.plain, dimension)
@@ -344,15 +347,15 @@ def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Weight
     """Simulate the points of the answer in batches, and return the failing points with their weights.
 
     The size of the first batch follows from the prediction. While the coefficient of variation is too large, a further
-    batch doubles the number of points. Each batch counts in proportion to its planned size, which does not depend on
-    its own slacks, so that the estimate has no bias.
+    batch doubles the number of points. The estimate is the mean of the batches' estimates, weighted by their planned
+    sizes. It has no bias, since the planned size of a batch does not depend on its own slacks.
 
     Args:
         search: The prediction and the design points; updated after each batch.
         settings: The coefficient of variation to reach, and the largest number of points.
     """
     count = 0  # planned size of all batches so far
-    batch_size = 0  # the first batch plans its own
+    batch_size = 0  # 0: not planned yet; the first candidates determine the size of the first batch
     no_points = np.empty((0, search.points.shape[1]))
     failures = WeightedFailures(no_points, noise_index=np.empty(0, int), weights=np.empty(0), weight_bound=0.0)
     while True:
@@ -363,7 +366,7 @@ def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Weight
         slacks, noise_index = search.simulate(candidates.points[indices])
         has_failed = slacks < 0.0
         failed = indices[has_failed]
-        share = batch_size / (count + batch_size)  # of this batch in the estimate
+        share = batch_size / (count + batch_size)  # weight of this batch in the estimate
         weights = share * candidates.masses / chances
         likely_weight = largest_likely_weight(weights, chances * candidates.failure_probabilities)
         largest_failed_weight = float(weights[failed].max(initial=0.0))
@@ -383,7 +386,7 @@ def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Weight
 
 
 def largest_likely_weight(weights: np.ndarray, expected_failures: np.ndarray) -> float:
-    """Largest weight that a failing point is likely to have: above it, :data:`UNSEEN` failures are expected.
+    """Largest weight that a failing point is likely to have: only :data:`UNSEEN` failures are expected above it.
 
     The interval of the estimate allows for a failure with this weight, which the sample may have missed.
 

@@ -34,10 +34,11 @@ class Component(NamedTuple):
 
 
 def weighted_mixture(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray) -> list[Component]:
-    """The mixture of narrow normal laws and, as its last, the wide law around the median draw.
+    """A mixture of narrow normal laws and, as its last component, the wide law around the median draw.
 
-    The shares of the narrow laws are proportional to their weights. A small share is raised to :data:`LEAST_SHARE`,
-    before all shares are made to add up to 1, so that no kind of failure is neglected.
+    The shares of the narrow laws are proportional to their weights. Small shares are first raised to
+    :data:`LEAST_SHARE`, so that no kind of failure is neglected; then the narrow laws together get the share that the
+    wide law leaves.
 
     Args:
         means: Means of the narrow laws, shape (laws, d).
@@ -56,7 +57,12 @@ def weighted_mixture(means: np.ndarray, roots: list[np.ndarray], weights: np.nda
 def draw_from_mixture(
     components: list[Component], count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw about ``count`` points of a mixture: a fixed number from each law, at least 2.
+    """Draw about ``count`` points of a mixture: from each law in proportion to its share, at least 2 points.
+
+    Args:
+        components: The laws of the mixture.
+        count: Number of points, up to rounding.
+        rng: Random generator.
 
     Returns:
         The points, shape (n, d), and at each the standard normal density divided by the density of the mixture,
@@ -78,8 +84,9 @@ def draw_from_mixture(
 def fit_mixture(components: list[Component], points: np.ndarray, weights: np.ndarray) -> list[Component]:
     """Fit a mixture to weighted failures, by a step of expectation and maximisation.
 
-    Each narrow law gets the mean of the failures near it, and their covariance where it is wider than the unit matrix.
-    A law with few failures stays as it is.
+    Each narrow law gets the mean and the covariance of the failures near it; in directions in which these scatter less
+    than a unit normal law, the unit variance stays (:func:`covariance_root`). A law with few failures near it stays as
+    it is.
 
     Args:
         components: The mixture to start from; its last law, the wide law, stays.
@@ -110,13 +117,14 @@ def fit_mixture(components: list[Component], points: np.ndarray, weights: np.nda
 
 
 def covariance_root(deviations: np.ndarray, weights: np.ndarray, size: float) -> np.ndarray:
-    """Lower triangular root of the covariance of weighted points, shape (d, d), made no narrower than the unit matrix.
+    """Lower triangular root of the covariance of weighted points, shape (d, d), with no variance below 1.
 
-    The covariance is shrunk towards the unit matrix, the more so the fewer points there are.
+    The covariance is first shrunk towards the unit matrix, more strongly for fewer points. Then its principal variances
+    below 1 are raised to 1, since a law that is too narrow would miss failures.
 
     Args:
-        deviations: Points less their mean, shape (n, d).
-        weights: Weight of each point, which add up to 1, shape (n,).
+        deviations: Points minus their weighted mean, shape (n, d).
+        weights: Weights of the points, shape (n,); they add up to 1.
         size: Effective number of points.
     """
     dimension = deviations.shape[1]

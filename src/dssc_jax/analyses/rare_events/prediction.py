@@ -1,6 +1,7 @@
 """A prediction of the slack in standard normal space with its uncertainty, from simulated points.
 
-It decides where to simulate, and hence how many simulations an answer takes. A bad prediction leaves the answer valid.
+The prediction decides where to simulate, and hence how many simulations an answer takes. A bad prediction leaves the
+answer valid.
 
 Reference:
     G. Matheron, "The intrinsic random functions and their applications", Advances in Applied Probability 5 (1973)
@@ -25,7 +26,7 @@ LEAST_VARIANCE = 1e-12
 class Prediction:
     """A prediction of the scaled slack at any point u: the spline sum_i c_i |u - u_i|^3 + a + b.u.
 
-    Kriging takes the slack for a realisation of a random function, and so gives the variance of the spline's error.
+    Kriging models the slack as a realisation of a random function. This gives the variance of the spline's error.
 
     Args:
         centres: Simulated points u_i, shape (n, d).
@@ -43,20 +44,25 @@ class Prediction:
 
     @property
     def surprise(self) -> float:
-        """-2 log likelihood of the errors with which each slack is predicted from all other points, without a constant.
+        """How unlikely the simulated slacks are under this prediction: -2 times a log likelihood, up to a constant.
 
-        In Kriging the error at the point i is normal, with the variance v/P_ii, where v is :attr:`variance` and P is
-        :attr:`inverse` (Dubrule).
+        The likelihood is that of the errors with which each slack is predicted from all other points. In Kriging the
+        error at the point i is normal with the variance v/P_ii, where v is :attr:`variance` and P is :attr:`inverse`
+        (Dubrule). The squared errors do not appear, since v is such that their mean relative to v/P_ii is 1.
         """
         count = len(self.centres)
         precisions = np.diag(self.inverse)[:count]
         return count * np.log(self.variance) - float(np.log(precisions).sum())
 
     def failure_probability(self, points: np.ndarray) -> np.ndarray:
-        """Probability that a simulation at each point of shape (n, d) fails, shape (n,).
+        """Predicted probability that a simulation at each of several points fails, shape (n,).
 
         The error of a smooth slack is assumed to be normal. The error of a noisy slack, such as the largest of many
-        readings, has longer tails and is assumed to be logistic, since an unexpected failure would carry much weight.
+        readings, has longer tails, and is assumed to be logistic; a normal law would make some failures so improbable
+        that, if they occur after all, each would carry much weight.
+
+        Args:
+            points: Points in standard normal space, shape (n, d).
         """
         is_noisy = self.smoothing >= NOISY
         probabilities = np.empty(len(points))
@@ -110,10 +116,11 @@ def fit_prediction(points: np.ndarray, slacks: np.ndarray, smoothings: tuple[flo
 
 
 def predict_with(smoothing: float, points: np.ndarray, scaled_slacks: np.ndarray) -> Prediction:
-    """Fit a prediction with one smoothing; its variance is the likeliest one.
+    """Fit a prediction with a given smoothing, and with the likeliest variance.
 
-    The error of a slack that is predicted from all other points is c_i/P_ii, with its coefficient c_i and the inverse P
-    of the spline's matrix. So the likeliest variance is the mean of c_i^2/P_ii.
+    If the slack at the point i is predicted from all other points, the error is c_i/P_ii, with the coefficient c_i and
+    the inverse P of the spline's matrix. The variance of this error is v/P_ii, so the likeliest v is the mean of
+    c_i^2/P_ii.
 
     Args:
         smoothing: The smoothing.

@@ -42,7 +42,7 @@ class MethodProbability:
 
 @dataclass(frozen=True)
 class ApproximatedFailures:
-    """The failures around a design point, with two approximations of their probability that have no interval."""
+    """The failures around a design point, with two approximations of their probability; neither has an interval."""
 
     distance: Annotated[float, Quantity("1", "distance from the median draw in standard normal space")]
     first_order: Annotated[float, Quantity("1", "probability behind the tangent of the border (FORM)")]
@@ -100,18 +100,19 @@ class RareEvent(Analysis):
     failed. The dataset has along ``failure``:
 
     * the value of every uncertain number;
-    * ``point``, its coordinate in standard normal space, along ``number``, too;
+    * ``point``, the coordinates of the failure in standard normal space, along ``number``, too;
     * ``plain``, whether the failure is a plain draw;
-    * ``weight``, the probability that the failure stands for, up to a factor, and ``noise``, the index of its noise.
+    * ``weight``, the probability that the failure stands for, up to a factor;
+    * ``noise``, the index of the in-loop noise; -1 for a plain draw.
 
-    A splitting adds along ``repeat`` its ``estimate`` and its ``levels``. Importance sampling adds along
-    ``design_point`` the ``distance`` from the median draw, ``second_order``, which is SORM's factor, and ``design``,
-    its coordinates, along ``number``, too.
+    A splitting adds along ``repeat`` the ``estimate`` and the number of ``levels`` of each repeat. Importance sampling
+    adds along ``design_point`` the ``distance`` from the median draw, ``second_order``, the ratio of SORM's probability
+    to FORM's, and along ``number``, too, the coordinates ``design``.
 
     Args:
         method: The settings of the method.
         simulations: Number of simulations besides the plain draws.
-        largest: The largest weight that a failing point could be expected to have; 0 for a splitting.
+        largest: Upper bound assumed for the weight of any failing point, used by the interval; 0 for a splitting.
         noisy: Whether the loop has in-loop noise.
         refusal: Why importance sampling gave no answer; empty if it did, or was not tried.
     """
@@ -238,7 +239,7 @@ class RareEvent(Analysis):
         )
 
     def failing_ranges(self) -> dict[str, FailingRange]:
-        """Median of each uncertain number's law beside its weighted quantiles at the failures, by name."""
+        """For each uncertain number, by name: the median of its law, and weighted quantiles of it at the failures."""
         weights = self.failing["weight"].values
         ranges = {}
         for name, values in self.failing_values.items():
@@ -280,10 +281,10 @@ class RareEvent(Analysis):
 
 
 def design_point_columns(design_points: list[DesignPoint]) -> dict[str, tuple[object, np.ndarray, dict[str, str]]]:
-    """Design points as variables of a dataset, by name: (dimensions, values, attributes) each.
+    """Design points as variables of a dataset, by name: a tuple (dimensions, values, attributes) for each variable.
 
-    ``design``, the coordinates, has the dimensions ``design_point`` and ``number``; ``distance`` and ``second_order``
-    have only the first. :func:`read_design_points` is the inverse.
+    ``design`` contains the coordinates, along ``design_point`` and ``number``. ``distance`` and ``second_order`` have
+    only the dimension ``design_point``. :func:`read_design_points` is the inverse.
     """
     points = np.array([design_point.point for design_point in design_points])
     distances = np.array([design_point.distance for design_point in design_points])
@@ -319,7 +320,8 @@ def rare(
     """Estimate a failure probability that is too small for plain draws, at the study's own values.
 
     Importance sampling around the design points takes some hundred simulations besides the plain draws. Splitting takes
-    some hundred thousand; it needs no design points. Both use the worst requirement's scaled slack.
+    some hundred thousand, but needs no design points. Both are guided by the slack of the worst requirement, relative
+    to its bound.
 
     Args:
         study: The study, or its file; its sweep and its number of draws are ignored.
@@ -338,7 +340,7 @@ def rare(
     slacks = StudySlacks(study, progress)
 
     def slacks_at(points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Simulate draws at points of standard normal space; a :data:`SlackFunction`."""
+        """Simulate a draw at each point of standard normal space; a :data:`SlackFunction`."""
         return slacks(inside_cube(special.ndtr(points)), noise)
 
     seeds = (study.config.seed,)

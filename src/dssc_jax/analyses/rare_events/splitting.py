@@ -38,8 +38,8 @@ class Splitting:
 
     Args:
         particles: Number N of particles in each repeat.
-        killed: Number k of particles that die at each level. With 1, the number J of levels before a failure of
-            probability p has a known law: Poisson with mean -N ln p.
+        killed: Number k of particles that die at each level. For k = 1 the number of levels before a failure of
+            probability p has a known law: Poisson with the mean -N ln p.
         moves: Number of moves of a clone's Markov chain at each level.
         repeats: Number of independent repeats, whose scatter gives the interval; at least 10.
         smallest: A repeat stops with the answer 0 when its estimate falls below this probability.
@@ -81,7 +81,7 @@ class Repeat:
         points: Particles in standard normal space, shape (N, d).
         noise_index: Index of the in-loop noise of each particle, shape (N,).
         slacks: Slack of each particle, shape (N,).
-        move_size: Size of a move in standard normal space.
+        move_size: Size s of a move, in (0, 1]; see :func:`move_clones`.
         estimate: Product of the shares of particles that passed each level.
         levels: Number of levels passed.
         dead: Whether the repeat's answer is 0: no particle passed a level, or the estimate became too small.
@@ -123,7 +123,7 @@ class Clones(NamedTuple):
 
 @dataclass(frozen=True)
 class SplittingEstimate(Estimate):
-    """The estimate of a splitting: the mean over independent repeats. Its failing particles have equal weights.
+    """The estimate of a splitting: the mean over independent repeats. All failing particles have equal weights.
 
     Args:
         estimates: Estimate of each independent repeat, shape (R,).
@@ -148,7 +148,10 @@ class SplittingEstimate(Estimate):
 
     @property
     def reached(self) -> bool:
-        """Whether some repeat reached failures by levels; without a level, the particles are plain draws, but fewer."""
+        """Whether the repeats reached failures, and at least one of them by passing a level.
+
+        Without any level the particles are just plain draws, fewer than those of :attr:`plain`.
+        """
         return self.mean > 0.0 and bool(self.levels.any())
 
     @property
@@ -173,7 +176,7 @@ def split(
 
     Args:
         slack: Computes slacks in standard normal space; -inf or NaN: the point fails without a slack.
-        dimension: Number d of coordinates of that space.
+        dimension: Number d of coordinates of standard normal space.
         seeds: Seeds of the random numbers.
         splitting: The settings.
 
@@ -213,11 +216,11 @@ def split(
 def first_populations(
     dimension: int, seeds: Sequence[int], splitting: Splitting, counter: SlackCounter
 ) -> list[Repeat]:
-    """Start the repeats: before its first level, the particles of each are plain draws.
+    """Create the repeats, each with a population of plain draws as its particles.
 
     Args:
         dimension: Number d of coordinates of standard normal space.
-        seeds: Seeds of the random numbers; the index of the repeat is added to them.
+        seeds: Seeds of the random numbers; the index of the repeat is appended as a further seed.
         splitting: The settings.
         counter: Computes the slacks of points and their noise indices, and counts the simulations.
     """
@@ -229,12 +232,12 @@ def first_populations(
 
 
 def is_finished(repeat: Repeat, splitting: Splitting) -> bool:
-    """Whether a repeat is dead, or its next level would be a failure, because enough particles fail."""
+    """Whether a repeat is dead, or has so many failing particles that its next level would be negative."""
     return repeat.dead or next_level(repeat, splitting) < 0.0
 
 
 def next_level(repeat: Repeat, splitting: Splitting) -> float:
-    """Return the slack below which particles have to fall next: the k-th largest, where k particles die."""
+    """Return the slack below which particles have to fall next: the k-th largest slack, where k particles die."""
     return float(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed])
 
 
@@ -242,6 +245,10 @@ def raise_level(repeat: Repeat, splitting: Splitting) -> Clones | None:
     """Replace the particles of a repeat at its next level or above by clones of the others.
 
     Particles with equal slacks die together. The level is not negative, so particles that fail survive.
+
+    Args:
+        repeat: The repeat; updated.
+        splitting: The settings.
 
     Returns:
         The clones; None if no particle survives, which makes the repeat dead.
@@ -262,10 +269,10 @@ def raise_level(repeat: Repeat, splitting: Splitting) -> Clones | None:
 
 
 def move_clones(clones_of_repeats: list[Clones], counter: SlackCounter) -> None:
-    """Make one step of every clone's Markov chain, and accept it if the slack stays below the level.
+    """Propose one step of every clone's Markov chain, and accept those proposals whose slacks are below the level.
 
-    The proposal from the point z is sqrt(1 - s^2) z + s xi, with the size s of the move and a standard normal xi. It
-    leaves the standard normal law unchanged.
+    The proposal from the point z is sqrt(1 - s^2) z + s xi, with the size s of the move and a standard normal xi. Such
+    a proposal leaves the standard normal law unchanged.
 
     Args:
         clones_of_repeats: The clones of each repeat; updated.
@@ -287,7 +294,11 @@ def move_clones(clones_of_repeats: list[Clones], counter: SlackCounter) -> None:
 
 
 def propose_moves(clones: Clones, counter: SlackCounter) -> tuple[np.ndarray, np.ndarray]:
-    """Propose points for clones, shape (clones, d), and indices of their in-loop noise, some of them new, (clones,)."""
+    """Propose a point for each clone, shape (clones, d), and an index of in-loop noise, shape (clones,).
+
+    A share :data:`NOISE_REDRAW_SHARE` of the proposals gets an index of noise that no point has used; the others keep
+    the noise of the clone.
+    """
     repeat = clones.repeat
     indices = clones.indices
     innovations = repeat.rng.standard_normal((len(indices), repeat.points.shape[1]))
@@ -298,10 +309,14 @@ def propose_moves(clones: Clones, counter: SlackCounter) -> tuple[np.ndarray, np
 
 
 def adapted_move_size(clones: Clones, acceptance: float) -> float:
-    """Adapt the size of the repeat's moves: larger if more than :data:`TARGET_ACCEPTANCE` of the moves were accepted.
+    """Adapt the size of a repeat's moves: larger if more than :data:`TARGET_ACCEPTANCE` of the moves were accepted.
 
-    It adapts slowly if few particles move, since a size that depends on the last move of the same particle would change
-    the limit distribution of its chain.
+    The size changes little if few particles move. Otherwise it would depend on the last move of the same particle,
+    which would change the stationary law of the Markov chain.
+
+    Args:
+        clones: The clones that moved, with their repeat.
+        acceptance: Share of the last moves that were accepted.
     """
     share = len(clones.indices) / len(clones.repeat.slacks)
     move_size = clones.repeat.move_size * np.exp(share * (acceptance - TARGET_ACCEPTANCE))

@@ -49,7 +49,10 @@ class CellSide(NamedTuple):
 
     @property
     def opposite(self) -> tuple["CellSide", "CellSide"]:
-        """The opposite sides of the two cells that have this side in common."""
+        """For each of the two cells that share this side, the side of the cell opposite to it.
+
+        A cell may lie outside the lattice; its opposite side then does, too.
+        """
         before = CellSide(self.i - self.dj, self.j - self.di, self.di, self.dj)
         after = CellSide(self.i + self.dj, self.j + self.di, self.di, self.dj)
         return before, after
@@ -62,7 +65,7 @@ class RegionAxis(NamedTuple):
         name: Dotted name of the number.
         low: Lower end of the range.
         high: Upper end of the range.
-        log: Whether the lattice is even in the logarithm.
+        log: Whether the lattice is even in the logarithm of the number.
     """
 
     name: str
@@ -71,7 +74,7 @@ class RegionAxis(NamedTuple):
     log: bool = False
 
     def values(self, count: int) -> np.ndarray:
-        """Return the values of the lattice from the lower to the upper end, shape (count,)."""
+        """Return ``count`` evenly spaced values of the number from the lower to the upper end, shape (count,)."""
         if self.log:
             return np.geomspace(self.low, self.high, count)
         return np.linspace(self.low, self.high, count)
@@ -81,8 +84,10 @@ class Thresholds(NamedTuple):
     """Numbers of failed draws that decide a point of the lattice.
 
     Args:
-        most_failures_to_meet: Most failures with which a point meets; -1: no number is small enough.
-        least_failures_to_refute: Fewest failures with which a point fails; the number of draws + 1: none is enough.
+        most_failures_to_meet: Largest number of failed draws with which a point meets the requirements; -1 if even 0
+            failures do not prove it.
+        least_failures_to_refute: Smallest number of failed draws with which a point fails; the number of draws + 1 if
+            even all draws failing does not prove it.
     """
 
     most_failures_to_meet: int
@@ -108,12 +113,12 @@ def thresholds(draws: int, points: int) -> Thresholds:
 class Lattice:
     """The points of a lattice over two numbers, with the failed draws at each point that was simulated.
 
-    A point is a pair of indices (i, j) of the values of the first and the second number. ``failures`` has the shape
-    (count, count) and is -1 at a point that was not simulated.
+    A point is a pair of indices (i, j) of the values of the first and the second number. ``failures``, shape
+    (count, count), is the number of failed draws at each point, and -1 at a point that was not simulated.
 
     Args:
         study: The study without a sweep.
-        over: The two numbers.
+        over: The two numbers and their ranges.
         count: Number of values of each number.
         progress: Called with the simulations done.
     """
@@ -146,7 +151,7 @@ class Lattice:
         return int(np.count_nonzero(self.failures >= 0)) * self.study.config.draws
 
     def simulate(self, points: Iterable[tuple[int, int]]) -> None:
-        """Simulate all draws at each of some points (i, j) that has not been simulated yet."""
+        """Simulate all draws at each of the points (i, j); points that are simulated already are left out."""
         new_points = sorted({point for point in points if self.failures[point] < 0})
         if not new_points:
             return
@@ -172,15 +177,15 @@ class Lattice:
         self.simulate(product(coarse, coarse))
         while stride > 1:
             half = stride // 2
-            for i, j in self.mixed_cells(stride):  # the corners of the four halved cells
+            for i, j in self.mixed_cells(stride):  # simulate the corners of the four cells of half the side
                 self.simulate(product((i, i + half, i + stride), (j, j + half, j + stride)))
             stride = half
             self.close_boundary(stride)
 
     def mixed_cells(self, stride: int) -> list[tuple[int, int]]:
-        """Corners (i, j), with the least indices, of the cells that the boundary crosses.
+        """The cells that the boundary crosses, each given by its corner (i, j) with the smallest indices.
 
-        All four corners of such a cell are simulated, and their verdicts differ.
+        All four corners of such a cell are simulated, and their verdicts are not all the same.
 
         Args:
             stride: Length of a cell's side, in points of the finest lattice.
@@ -229,7 +234,10 @@ class Lattice:
         return crossed_sides
 
     def corners_beside(self, side: CellSide) -> set[tuple[int, int]]:
-        """The other corners of the two cells that have a side in common; a side at the edge belongs to one cell."""
+        """The corners beyond the ends of a side, of the cells that have this side.
+
+        Two cells have the side in common; at the edge of the lattice only one cell has it.
+        """
         last = len(self.failures) - 1
         corners: set[tuple[int, int]] = set()
         for opposite in side.opposite:

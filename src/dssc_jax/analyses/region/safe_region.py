@@ -96,13 +96,14 @@ class SafeRegion(Analysis):
     seconds: float
 
     def points(self, verdict: PairVerdict) -> int:
-        """Count the lattice points with a verdict."""
+        """Count the lattice points that have a given verdict."""
         return int(np.count_nonzero(self.dataset["verdict"].values == verdict))
 
     def safe_ranges(self) -> list[SafeRange]:
-        """Ranges of the second number in which all simulated pairs meet, at some values of the first number.
+        """Ranges of the second number in which all simulated pairs meet, for some values of the first number.
 
-        Of more than :data:`MOST_RANGES` such values, so many are chosen, spread evenly.
+        Values of the first number without such a range are left out. If more than :data:`MOST_RANGES` remain, so many
+        of them are chosen, spread evenly.
         """
         first_values = self.dataset[self.table[0]].values
         second_values = self.dataset[self.table[1]].values
@@ -163,13 +164,14 @@ class SafeRegion(Analysis):
 
 
 def meeting_ends(verdicts: np.ndarray) -> list[tuple[int, int]]:
-    """Find the first and last index of each run of simulated pairs that meet, along a line of the lattice.
+    """Find the first and last index of each run of neighbouring simulated pairs that meet, along a lattice line.
 
     Args:
         verdicts: A :class:`PairVerdict` for each point of the line, shape (count,).
 
     Returns:
-        The runs; none if the first or the last may go on where the line is not simulated.
+        The pairs (first, last). The list is empty if no pair meets, or if the first or the last run may extend to where
+        the line is not simulated, so that its end is unknown.
     """
     places = np.flatnonzero(verdicts != PairVerdict.NOT_SIMULATED)
     meets = verdicts[places] == PairVerdict.MEETS
@@ -257,7 +259,7 @@ def lattice_size(study: Study, over: tuple[RegionAxis, RegionAxis], halvings: in
     draws = study.config.draws
 
     def can_meet(number: int) -> bool:
-        """Whether a point without a failure among so many draws meets."""
+        """Whether a point would meet if none of this number of draws failed there."""
         return thresholds(number, count**2).most_failures_to_meet >= 0
 
     if not can_meet(draws):
@@ -269,8 +271,13 @@ def lattice_size(study: Study, over: tuple[RegionAxis, RegionAxis], halvings: in
 def certify_points(study: Study, lattice: Lattice) -> tuple[np.ndarray, str]:
     """Check Theorem 1 at every point of a lattice, for all draws at once.
 
+    Args:
+        study: The study without a sweep.
+        lattice: The lattice, for its axes.
+
     Returns:
-        Whether the theorem certifies each point, shape (count, count), and its scope in words.
+        Whether the theorem certifies each point, shape (count, count), and in words what the theorem covers, or why it
+        does not apply.
     """
     over = lattice.over
     sweep = {axis.name: values.tolist() for axis, values in zip(over, lattice.axes, strict=True)}

@@ -7,8 +7,8 @@ the K that failed least often fails at most ``within`` more often than each of t
 on the best is wrong, each chosen candidate then fails at most ``within`` more often than any that was not chosen:
 either all of the best are chosen, or the evidence compares the chosen candidates with one of the best that is not.
 
-Where K candidates hardly ever fail, nothing fails less often by more than that: a candidate whose failure probability
-is surely less than ``within`` may be chosen without a look at the others.
+If K candidates hardly ever fail, a comparison with the others is not needed: nothing fails less often than never. So a
+candidate whose failure probability is proved to be less than ``within`` may be chosen without a look at the others.
 
 The evidence holds at all numbers of draws at once (:func:`dssc_jax.statistics.log_evidence_of_less`), so the race may
 look as often as it likes. A third of the error is spent on candidates that leave, a third on the end, and a third on
@@ -47,7 +47,8 @@ class RaceResult:
         chosen: Indices of the chosen candidates, the best first.
         draws: Number of draws of each candidate, shape (N,).
         failures: Number of failed draws of each candidate, shape (N,).
-        within: With the confidence, each chosen candidate fails at most this much more often than any not chosen.
+        within: Largest difference of failure probabilities: each chosen candidate fails at most this much more often
+            than any candidate not chosen, with confidence.
         remaining: Number of candidates that were still in the race at its end.
         simulations: Number of simulations.
     """
@@ -61,11 +62,11 @@ class RaceResult:
 
 
 class PairedFailures(NamedTuple):
-    """Draws on which only one candidate of a pair fails, for every pair of two sets of candidates.
+    """Numbers of draws on which only one candidate of a pair fails, for pairs of n first and m second candidates.
 
     Args:
-        first_alone: Draws on which only the candidate of the first set fails, shape (n, m).
-        second_alone: Draws on which only the candidate of the second set fails, shape (n, m).
+        first_alone: Number of draws on which only the first candidate fails, shape (n, m).
+        second_alone: Number of draws on which only the second candidate fails, shape (n, m).
         draws: Number of draws of each candidate.
     """
 
@@ -74,7 +75,7 @@ class PairedFailures(NamedTuple):
     draws: int
 
     def all_within(self, difference: float, evidence_threshold: float) -> bool:
-        """Whether each of the first set is proved to fail at most ``difference`` more often than each of the second.
+        """Whether each first candidate is proved to fail at most ``difference`` more often than each second one.
 
         Args:
             difference: Difference of failure probabilities.
@@ -84,7 +85,11 @@ class PairedFailures(NamedTuple):
         return bool(np.all(evidence >= evidence_threshold))
 
     def proved_difference(self, evidence_threshold: float) -> float:
-        """The smallest difference of failure probabilities for which :meth:`all_within` holds."""
+        """The smallest difference of failure probabilities for which :meth:`all_within` holds, by bisection in [0, 1].
+
+        Args:
+            evidence_threshold: Logarithm of the evidence that counts as a proof.
+        """
         smallest, _ = bisect(
             lambda difference: self.all_within(float(difference), evidence_threshold),
             inside=1.0,
@@ -103,20 +108,28 @@ class Tally:
     """
 
     def __init__(self, failing: Failing, count: int) -> None:
-        """Begin without draws."""
+        """Start with 0 draws, failures and simulations."""
         self.failing = failing
         self.draws = np.zeros(count, int)
         self.failures = np.zeros(count, int)
         self.simulations = 0
 
     def simulate(self, candidates: np.ndarray, draws: slice) -> np.ndarray:
-        """Simulate candidates, and return whether each fails on each draw, shape (candidates, draws)."""
+        """Simulate candidates, and return whether each fails on each draw, shape (candidates, draws).
+
+        Only the number of simulations is counted here; the caller counts draws and failures.
+        """
         failed = self.failing(candidates, draws)
         self.simulations += failed.size
         return failed
 
     def extend(self, candidates: np.ndarray, goal: int) -> None:
-        """Simulate candidates with equally many draws on further draws, until each has ``goal`` draws."""
+        """Simulate candidates on further draws until each has ``goal`` draws, and count draws and failures.
+
+        Args:
+            candidates: Indices of candidates that all have the same number of draws so far.
+            goal: Number of draws that each has afterwards.
+        """
         done = int(self.draws[candidates[0]])
         failed = self.simulate(candidates, slice(done, goal))
         self.failures[candidates] += np.count_nonzero(failed, axis=1)
@@ -126,16 +139,16 @@ class Tally:
 def race(failing: Failing, count: int, keep: int, within: float, most_simulations: int) -> RaceResult:
     """Find the K candidates that fail least often, by ever more draws of the candidates in the race.
 
-    After each look at the draws, candidates leave for which K others are surely better. The race ends when the K best
-    so far are surely not worse than the others by more than ``within``; or when K candidates surely fail less often
-    than ``within``; or when the simulations are used up.
+    After each look at the draws, a candidate leaves if K others are proved to be better. The race ends when the K best
+    so far are proved to fail at most ``within`` more often than the others; or when K candidates are proved to have a
+    failure probability below ``within``; or when the simulations are used up.
 
     Args:
         failing: (candidates, draws) -> whether each candidate fails on each draw.
         count: Number N of candidates.
         keep: Number K of candidates to find, less than ``count``.
         within: Difference of failure probabilities that does not matter, in (0, 1).
-        most_simulations: Largest number of simulations; the last look may pass it by one growth.
+        most_simulations: Number of simulations after which the race ends; the last look may exceed it.
     """
     evidence_threshold = math.log(3.0 * keep * count / (1.0 - CONFIDENCE))  # for K N pairs and a third of the error
     tally = Tally(failing, count)
@@ -148,7 +161,8 @@ def race(failing: Failing, count: int, keep: int, within: float, most_simulation
         tally.draws[running] = goal
         tally.failures[running] = failed.sum(axis=1)
         alone = sole_failure_counts(failed)
-        is_better = log_evidence_of_less(alone, alone.T, goal, 0.0) >= evidence_threshold  # the row than the column
+        # entry i, j: candidate i is proved to fail less often than candidate j
+        is_better = log_evidence_of_less(alone, alone.T, goal, 0.0) >= evidence_threshold
         is_racing = is_better.sum(axis=0) < keep
         running = running[is_racing]
         failed = failed[is_racing]
@@ -183,8 +197,8 @@ def rarely_failing(
 ) -> np.ndarray | None:
     """Find candidates whose failure probability is proved to be below ``within``, by further draws.
 
-    Batches of K candidates are tried, the most promising first. Each doubles its draws until it is proved, fails too
-    often to be hopeful, or has as many draws as such a proof may take.
+    Batches of ``keep`` candidates are tried, the most promising first. The draws of a candidate are doubled until the
+    proof succeeds, the candidate fails too often for a proof to be likely, or it has as many draws as a proof may take.
 
     Args:
         tally: Draws and failures of all candidates; updated.
@@ -194,7 +208,7 @@ def rarely_failing(
         evidence_threshold: Logarithm of the evidence that counts as a proof.
 
     Returns:
-        ``keep`` candidates, the best first; None if there are not so many.
+        Indices of ``keep`` candidates, the best first; None if fewer were found.
     """
     # about twice the draws that a proof takes without a failure
     most_draws = math.ceil(2.0 * evidence_threshold / within)
@@ -219,7 +233,7 @@ def rarely_failing(
 
 
 def sole_failure_counts(failed: np.ndarray) -> np.ndarray:
-    """Number of draws on which candidate i fails and candidate j does not, for each pair (i, j), shape (N, N).
+    """For each pair (i, j), the number of draws on which candidate i fails and candidate j does not, shape (N, N).
 
     Args:
         failed: Whether each candidate fails on each draw, shape (N, draws).

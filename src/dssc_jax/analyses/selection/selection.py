@@ -59,8 +59,9 @@ class Selection(Analysis):
 
     Args:
         ranges: Where the candidates lie, by dotted name of the number.
-        within: A chosen candidate fails at most this much more often than any that was not chosen.
-        wanted_within: The difference that was asked for.
+        within: Largest difference of failure probabilities that is proved: a chosen candidate fails at most this much
+            more often than any that was not chosen.
+        wanted_within: The difference that was asked for; ``within`` is larger if the simulations did not suffice.
         left: Number of candidates that were still in the race at its end.
         simulations: Number of simulations.
         seconds: Computing time [s].
@@ -81,7 +82,7 @@ class Selection(Analysis):
     def chosen(self) -> np.ndarray:
         """Index of each chosen candidate, the best first."""
         place = self.dataset["place"].values  # -1: not chosen
-        unchosen = np.count_nonzero(place < 0)
+        unchosen = np.count_nonzero(place < 0)  # these come first when sorted
         return np.argsort(place, kind="stable")[unchosen:]
 
     @property
@@ -93,7 +94,7 @@ class Selection(Analysis):
         )
 
     def figure(self) -> Figure:
-        """Plot the candidates' values and shares of failed draws, and how many got how many draws."""
+        """Plot the candidates' values and shares of failed draws, and the distribution of their numbers of draws."""
         return plotting.selection(self)
 
     @property
@@ -135,8 +136,8 @@ def select(
 ) -> Selection:
     """Find the candidates that fail least often among many values of some numbers, with 95 % confidence.
 
-    All candidates are simulated on the same independent draws. Those that are surely not among the best leave early.
-    A run of the study has other draws, on which the choice can be judged.
+    All candidates are simulated on the same independent draws. A candidate leaves early if it is proved not to be among
+    the best. A run of the study has other draws, on which the choice can be judged.
 
     Args:
         study: The study, or its file; its sweep and its number of draws are ignored.
@@ -147,7 +148,8 @@ def select(
         keep: Number of candidates to choose.
         within: Difference of failure probabilities that does not matter.
         most: Largest number of simulations; if they do not suffice, the answer has the difference that they prove.
-        progress: Called with the simulations done, and with their number at the next look; there may be further looks.
+        progress: Called with the simulations done, and with the number that will be done at the next look; further
+            looks may follow.
 
     Raises:
         ConfigError: A number or range is not admissible, nothing can be chosen, or draws are not independent.
@@ -192,7 +194,7 @@ class CandidateSimulator:
     Args:
         evaluator: The compiled study.
         points: Value of each number of the candidates, by dotted name, shape (candidates,) each.
-        progress: Called with the simulations done, and with their number at the next look.
+        progress: Called with the simulations done, and with the number that will be done at the next look.
         done: Number of simulations so far.
     """
 
@@ -202,7 +204,12 @@ class CandidateSimulator:
     done: int = 0
 
     def __call__(self, candidates: np.ndarray, draws: slice) -> np.ndarray:
-        """Whether each candidate fails on each draw, shape (candidates, draws), simulated in batches of candidates."""
+        """Simulate candidates in batches, and return whether each fails on each draw, shape (candidates, draws).
+
+        Args:
+            candidates: Indices of the candidates, shape (candidates,).
+            draws: The draws, from the first index to the index after the last.
+        """
         drawn_numbers = self.evaluator.values_of_draws(draws)
         count = draws.stop - draws.start
         goal = self.done + len(candidates) * count
@@ -221,20 +228,22 @@ class CandidateSimulator:
         return np.concatenate(rows)
 
     def report(self, goal: int) -> None:
-        """Report the simulations done, and their number at the next look."""
+        """Report the simulations done, and ``goal``, the number that will be done at the next look."""
         if self.progress:
             self.progress(self.done, goal)
 
 
 def selection_ranges(study: Study, over: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
-    """Lowest and highest candidate of each number, by dotted name.
+    """The range of each number over which candidates are spread, by dotted name: (lowest, highest) value.
 
     Args:
         study: The study.
-        over: The ranges that were asked for; None: the tunable gains of the controller, in ranges about their values.
+        over: The ranges that were asked for; None: the tunable gains of the controller, each from a tenth to ten times
+            its value.
 
     Raises:
-        ConfigError: A range is not admissible, or the controller has no gain that can be tuned.
+        ConfigError: A range is not admissible; or without ``over``, no gain can be tuned or the plant has several
+            channels.
     """
     if over is None:
         extents = gain_ranges(study, {}) if len(study.loop.controller) == 1 else {}

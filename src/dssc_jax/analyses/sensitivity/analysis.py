@@ -24,8 +24,8 @@ class SensitivityDesign(NamedTuple):
 
     Args:
         design: (study, whether in-loop noise is a factor, confidence) -> the simulations, and what follows from them.
-        require: Raises ConfigError for a study that the method cannot treat, before anything is compiled. Its result
-            does not matter, so it may be the function that counts the rows.
+        require: Raises ConfigError for a study that the method cannot treat, before anything is compiled. The result of
+            the call is ignored, so a function that counts the rows may be used.
     """
 
     design: Callable[[Study, bool, float], RowDesign]
@@ -55,8 +55,8 @@ def sensitivity(
         progress: Called with the simulations done and their total.
 
     Returns:
-        The method's quantities of every output and factor with their intervals, and the reason of each output without
-        them.
+        For every output and factor, the quantities of the method with their intervals; for an output without
+        quantities, the reason.
 
     Raises:
         ConfigError: The method is unknown or cannot treat correlated numbers, nothing is uncertain, or there are too
@@ -92,12 +92,13 @@ def sensitivity(
 
 
 class OutputAnswers(NamedTuple):
-    """What the simulations of a design tell of each output, by name.
+    """The quantities of every output, or the reasons why there are none; each field is by name of the output.
 
     Args:
-        quantities: The quantities of the method, shape (factors, 3) each; None: there are none.
-        reasons: Why an output has no quantities.
-        missing: Number of simulations without a value.
+        quantities: The quantities of the method, shape (factors, 3) each, with estimate, lower and upper end; None: the
+            output has no quantities.
+        reasons: Why an output has no quantities, only for such outputs.
+        missing: Number of simulations in which the output has no value.
     """
 
     quantities: dict[str, tuple[np.ndarray, ...] | None]
@@ -110,8 +111,8 @@ def output_answers(design: RowDesign, results: list[Arrays], names: list[str]) -
 
     Args:
         design: The simulations, and what follows from them.
-        results: Results of the simulations of each sample.
-        names: Names of the outputs.
+        results: Results of the simulations, for each sample of the design.
+        names: Names of the outputs: metrics, and ``failure``.
     """
     answers = OutputAnswers({}, {}, {})
     for name in names:

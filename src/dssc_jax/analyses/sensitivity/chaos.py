@@ -26,13 +26,13 @@ RIDGE = 1.0  # added to the diagonal of the normal equations of a fit, which is 
 
 
 class Term(NamedTuple):
-    """A product of Legendre polynomials of two numbers, or a polynomial of one number.
+    """A term of a prediction: a product of Legendre polynomials of two numbers, or a polynomial of one number.
 
     Args:
         first: Index of the first number.
         first_degree: Degree in the first number, at least 1.
-        second: Index of the second number; the first number again in a polynomial of one number.
-        second_degree: Degree in the second number; 0 in a polynomial of one number.
+        second: Index of the second number; for a polynomial of one number, the index of that number again.
+        second_degree: Degree in the second number; 0 for a polynomial of one number.
     """
 
     first: int
@@ -42,12 +42,14 @@ class Term(NamedTuple):
 
 
 class ChaosPrediction(NamedTuple):
-    """A prediction of an output with mean 0, by other coefficients in each replicate, and its exact variances.
+    """A prediction of an output, without its mean, and exact variances of the prediction.
+
+    Each replicate has coefficients of its own, so the variances differ between replicates.
 
     Args:
         values: Predicted values at A, B and each AB_i, shape (2 + factors, rows).
-        alone: Variance of all terms in one number only, for each of d numbers, shape (replicates, d).
-        total: Variance of all terms that contain the number, shape (replicates, d).
+        alone: For each of d numbers, the variance of the terms in this number only, shape (replicates, d).
+        total: For each of d numbers, the variance of all terms that contain the number, shape (replicates, d).
         variance: Variance of the prediction, shape (replicates,).
     """
 
@@ -58,7 +60,7 @@ class ChaosPrediction(NamedTuple):
 
 
 def nested_terms(dimension: int) -> tuple[list[Term], list[int]]:
-    """The terms in d numbers, sorted so that each set of :data:`DEGREES` consists of the first terms.
+    """The terms in d numbers, sorted so that each of the nested sets in :data:`DEGREES` consists of the first terms.
 
     Returns:
         All terms, and the number of terms of each set, in ascending order.
@@ -88,7 +90,7 @@ class Chaos:
     """
 
     def __init__(self, samples: np.ndarray, replicates: int) -> None:
-        """Choose the sets of polynomials that the samples can fit, and factorise their normal equations."""
+        """Choose the sets of polynomials for which there are enough samples, and factorise their normal equations."""
         self.samples = samples
         self.replicate_rows = [slice(r, None, replicates) for r in range(replicates)]
         self.training_points = samples[:, :FIT_ROWS]
@@ -102,7 +104,7 @@ class Chaos:
         squares = np.zeros((replicates, width, width))
         for basis in self.training_bases:
             squares += np.stack([basis[rows].T @ basis[rows] for rows in self.replicate_rows])
-        self.normal_factors = {}  # by number of terms
+        self.normal_factors = {}  # Cholesky factors, by number of terms
         for count in self.counts:
             self.normal_factors[count] = factorise_normal_equations(squares[:, : count + 1, : count + 1])
 
@@ -123,9 +125,9 @@ class Chaos:
         return np.concatenate([np.ones((1, len(points))), products]).T
 
     def coefficients(self, products: np.ndarray, count: int) -> np.ndarray:
-        """Coefficients of the constant and the first terms for each replicate, shape (replicates, 1 + count).
+        """Fit the coefficients of the constant and the first terms for each replicate, shape (replicates, 1 + count).
 
-        They solve the normal equations of the rows of all other replicates.
+        The coefficients for a replicate are fitted to the rows of all other replicates.
 
         Args:
             products: Sums of basis times output over the rows of each replicate, shape (replicates, 1 + terms).
@@ -156,10 +158,12 @@ class Chaos:
         return None if best is None else self.prediction_from(best[:, 1:])
 
     def squared_error(self, training_values: np.ndarray, coefficients: np.ndarray) -> float:
-        """Sum of the squared errors of the predictions of a replicate's rows, over all replicates and samples.
+        """Sum of the squared errors of a prediction over all training points.
+
+        The rows of a replicate are predicted with the coefficients of this replicate.
 
         Args:
-            training_values: The output at the training points, shape (2 + factors, rows).
+            training_values: The output at the training points, shape (2 + factors, training rows).
             coefficients: Coefficients of the constant and the first terms, shape (replicates, 1 + count).
         """
         width = coefficients.shape[1]
@@ -170,7 +174,9 @@ class Chaos:
         return error
 
     def prediction_from(self, coefficients: np.ndarray) -> ChaosPrediction:
-        """The prediction at all points of the samples, and its variances, which are sums of squared coefficients.
+        """The prediction at all points of the samples, and its variances.
+
+        The polynomials are orthonormal, so a variance is a sum of squared coefficients.
 
         Args:
             coefficients: Coefficients of the first terms, without the constant, shape (replicates, terms).
@@ -193,13 +199,13 @@ class Chaos:
 
 
 def factorise_normal_equations(squares: np.ndarray) -> list[tuple[np.ndarray, bool]]:
-    """Cholesky factors of the normal equations for each replicate, which use the rows of all other replicates.
+    """Cholesky factors of the normal equations of each replicate, which sum over the rows of all other replicates.
 
     Args:
-        squares: Sums of products of the basis over the rows of each replicate, shape (replicates, n, n).
+        squares: Sums of products of n basis functions over the rows of each replicate, shape (replicates, n, n).
 
     Returns:
-        The factors as :func:`scipy.linalg.cho_factor` returns them.
+        The factor of each replicate, as :func:`scipy.linalg.cho_factor` returns it.
     """
     matrices = squares.sum(axis=0) - squares + RIDGE * np.eye(squares.shape[-1])
     return [linalg.cho_factor(matrix) for matrix in matrices]

@@ -1,9 +1,9 @@
 """Morris screening of every metric and of failure: which of many numbers matter at all, by few simulations.
 
-A trajectory moves the factors one after the other, in random order, by half of its law's probability. The change of the
-output is the factor's elementary effect. The mean of its absolute values, mu*, says how much a factor matters; the
-spread sigma of the signed effects says how much that depends on the other factors or on where the factor is. In-loop
-noise is one more factor: its move is another draw index.
+A trajectory moves the factors one after the other, in random order, each by half of the probability of its law. The
+change of the output in such a move is an elementary effect of the factor. The mean mu* of the effects' absolute values
+says how much a factor matters. The spread sigma of the signed effects says how much this depends on the other factors
+or on where the factor is. In-loop noise is one more factor: its move is another draw index.
 
 Reference:
     M. D. Morris, Technometrics 33 (1991) 161-174; F. Campolongo, J. Cariboni, A. Saltelli, Environmental Modelling &
@@ -22,7 +22,7 @@ from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.study import Study
 
-GRID_LEVELS = 4  # levels of a factor: the middles of quarters of its probability
+GRID_LEVELS = 4  # levels of a factor: the middles of the four quarters of its probability, from 0 to 1
 FEWEST = 10  # trajectories, for intervals of some use
 
 
@@ -35,8 +35,8 @@ def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.n
         seeds: Seeds of the random generator.
 
     Returns:
-        The levels after 0, 1, ... moves, in (0, 1), shape (factors + 1, count, factors), and the order in which the
-        factors move, as indices of factors, shape (count, factors).
+        The levels of all factors after 0, 1, ... moves, in (0, 1), shape (factors + 1, count, factors), and the order
+        in which the factors move, as indices of factors, shape (count, factors).
     """
     rng = generator(*seeds)
     order = rng.permuted(np.tile(np.arange(factors), (count, 1)), axis=1)
@@ -49,6 +49,8 @@ def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.n
 
 def elementary_effects(values: np.ndarray, levels: np.ndarray, order: np.ndarray) -> np.ndarray:
     """The change of an output when each factor moves up by half of its probability, shape (factors, trajectories).
+
+    If the factor moved down in a trajectory, the sign of the change is reversed.
 
     Args:
         values: Output at each point of each trajectory, shape (factors + 1, trajectories).
@@ -64,9 +66,9 @@ def elementary_effects(values: np.ndarray, levels: np.ndarray, order: np.ndarray
 def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.ndarray]:
     """Mean size mu* and spread sigma of each factor's elementary effects, with intervals over the trajectories.
 
-    The intervals are Student's t, for sigma by the jackknife: the scatter of sigma when one trajectory is left out. The
-    effects of an indicator, such as failure, are -1, 0 or 1. Its mu* is a proportion and has the exact interval, whose
-    upper end bounds sigma^2, too.
+    The intervals are Student's t. For sigma the standard error comes from the jackknife, the scatter of sigma when one
+    trajectory at a time is left out. If all effects are -1, 0 or 1, the output is an indicator, such as failure. Its
+    mu* is then a proportion with an exact interval (Clopper-Pearson), whose upper end bounds sigma^2, too.
 
     Args:
         effects: Elementary effects, shape (factors, trajectories).
@@ -81,7 +83,7 @@ def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.nd
     spread = effects.std(1, ddof=1)
     squares = (effects - effects.mean(1, keepdims=True)) ** 2
     variances_without_one = ((count - 1) * spread[:, None] ** 2 - squares * count / (count - 1)) / (count - 2)
-    jackknife_values = (count - 1) * np.sqrt(np.maximum(variances_without_one, 0.0))  # up to constants of a factor
+    jackknife_values = (count - 1) * np.sqrt(np.maximum(variances_without_one, 0.0))  # up to sign and a constant
     size_table = interval_table(sizes.mean(1), reach * sizes.std(1, ddof=1))
     spread_table = interval_table(spread, reach * jackknife_values.std(1, ddof=1))
     is_indicator = np.all(np.isin(sizes, (0.0, 1.0)))
@@ -92,17 +94,19 @@ def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.nd
 
 
 def interval_table(estimate: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Estimate, lower and upper end of nonnegative numbers with symmetric intervals, cut at 0; shape (factors, 3).
+    """Estimates of nonnegative numbers with the ends of symmetric intervals, shape (factors, 3).
+
+    The columns are estimate, lower end (at least 0) and upper end.
 
     Args:
-        estimate: Shape (factors,).
+        estimate: The estimates, shape (factors,).
         half: Half length of each interval, shape (factors,).
     """
     return np.stack([estimate, np.maximum(estimate - half, 0.0), estimate + half], axis=1)
 
 
 def trajectory_count(study: Study, noisy: bool = False) -> int:
-    """The number of trajectories that the study's draws allow, each of which takes a simulation more than factors.
+    """The number of trajectories that the study's draws allow; each takes one simulation more than there are factors.
 
     Args:
         study: The study; its number of draws is the largest number of simulations.

@@ -41,9 +41,10 @@ class RowDesign(NamedTuple):
     Args:
         rows: Number of rows of each sample.
         samples: The samples to simulate.
-        refusal: (values of an output, shape (samples, rows)) -> why it gets no quantities; None if it gets them.
-        quantities: (values of an output, shape (samples, rows)) -> the quantities, each with estimate, lower and upper
-            end in the columns, shape (factors, 3).
+        refusal: (values of an output, shape (samples, rows)) -> why no quantities are computed for this output; None if
+            they are.
+        quantities: (values of an output, shape (samples, rows)) -> the quantities of the method, shape (factors, 3)
+            each; the columns are estimate, lower and upper end.
     """
 
     rows: int
@@ -53,10 +54,10 @@ class RowDesign(NamedTuple):
 
 
 def effective_row_count(f_a: np.ndarray, f_b: np.ndarray) -> float:
-    """The effective number of rows from which the variance of an output comes, by its kurtosis.
+    """The effective number of rows that carry the variance of an output, from the output's kurtosis.
 
-    It tells whether a few extreme rows decide the variance. For an indicator with the mean p, such as failure, it is
-    n p (1 - p)/(1 - 3 p (1 - p)) of n rows, about the number of rows in the rarer class.
+    A small number tells that a few extreme rows decide the variance. For an indicator with the mean p, such as failure,
+    the number is n p (1 - p)/(1 - 3 p (1 - p)) of n rows, about the number of rows in the rarer class.
 
     Args:
         f_a: A varying output at the rows of sample A, shape (rows,).
@@ -68,7 +69,7 @@ def effective_row_count(f_a: np.ndarray, f_b: np.ndarray) -> float:
 
 
 def refusal_reason(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
-    """Why the samples of an output do not suffice for indices, in words; None if they suffice.
+    """Say in words why the samples of an output do not suffice for indices; None if they suffice.
 
     Args:
         f_a: Output at the rows of sample A, shape (rows,).
@@ -86,7 +87,12 @@ def refusal_reason(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
 
 
 def output_values(results: Arrays, name: str) -> np.ndarray:
-    """The values of an output, shape (n,): a metric by its name, or for ``failure`` 1 if the draw failed, else 0."""
+    """The values of an output, shape (n,): those of a metric, or for ``failure`` 1 if a draw failed and 0 if not.
+
+    Args:
+        results: Results of the simulations by name, shape (n,) each.
+        name: Name of the metric, or ``failure``.
+    """
     if name == FAILURE:
         return (results["outcome"] != Outcome.OK).astype(float)
     return results[name].astype(float)
@@ -109,7 +115,7 @@ def require_uncorrelated(study: Study, claim: str) -> None:
 
     Args:
         study: The study.
-        claim: Beginning of the refusal, which goes on with "independent inputs, but".
+        claim: Beginning of the error message, which continues with "independent inputs, but ...".
 
     Raises:
         ConfigError: Some numbers are correlated.

@@ -22,9 +22,9 @@ OUTPUT_UNIT = "that of the output"
 
 @dataclass(frozen=True)
 class SobolFactor:
-    """Sobol indices of a factor: the share of an output's variance that it explains alone, and with interactions.
+    """Sobol indices of a factor: the shares of an output's variance that it explains alone, and with all interactions.
 
-    Estimates are not clipped: below 0 means about 0.
+    Estimates are not clipped, so an index of about 0 may be negative.
     """
 
     first: Annotated[float, Quantity("1", "first-order index")]
@@ -35,7 +35,10 @@ class SobolFactor:
 
 @dataclass(frozen=True)
 class ShapleyFactor:
-    """Shapley effect of a factor: its share of an output's variance, averaged over the orders of becoming known."""
+    """Shapley effect of a factor: the share of an output's variance that knowing the factor explains.
+
+    The share is averaged over all orders in which the factors may become known.
+    """
 
     effect: Annotated[float, Quantity("1", "Shapley effect: share of the variance")]
     effect_interval: Annotated[tuple[float, float], Quantity("1", "interval of the Shapley effect")]
@@ -56,7 +59,7 @@ Factor: TypeAlias = SobolFactor | ShapleyFactor | MorrisFactor
 
 @dataclass(frozen=True)
 class SensitivityMeasure:
-    """A quantity that a method computes for each factor, in words."""
+    """Description in words of a quantity that a method computes for each factor."""
 
     meaning: Annotated[str, Quantity("", "in a few words")]
     legend: Annotated[str, Quantity("", "text for tables and figures")]
@@ -64,12 +67,12 @@ class SensitivityMeasure:
 
 
 class SensitivityMethod(NamedTuple):
-    """What a method of sensitivity analysis computes for each factor, in words for tables, figures and answers.
+    """Description of a method of sensitivity analysis, in words for tables, figures and answers.
 
     Args:
-        title: What its quantities are called together.
-        quantities: The quantities by name.
-        factor: Type of the answer for a factor; its arguments are estimate and interval of each quantity in turn.
+        title: What the quantities of the method are called together.
+        quantities: The quantities that the method computes for each factor, by name.
+        factor: Type of the answer for a factor; it is called with estimate and interval of each quantity in turn.
         ranking: Name of the quantity by which factors are ranked.
         interval: How the intervals are computed.
     """
@@ -105,8 +108,8 @@ class Sensitivity(Analysis):
 
     The dimension ``output`` of the dataset holds every metric and ``failure``. The dimension ``factor`` holds the
     uncertain numbers, then the in-loop noise if there is any. Along both, the dataset has the quantities of the method
-    with the ends of their intervals, such as ``total``, ``total_low`` and ``total_high``. They are NaN for an output
-    without quantities. Along ``output`` it has ``missing``, the number of simulations without a value.
+    with the ends of their intervals, such as ``total``, ``total_low`` and ``total_high``. For an output without
+    quantities these are NaN. Along ``output`` the dataset has ``missing``, the number of simulations without a value.
 
     Args:
         method: Name of the method, see :func:`dssc_jax.sensitivity`.
@@ -140,7 +143,7 @@ class Sensitivity(Analysis):
     def outputs(self) -> dict[str, dict[str, np.ndarray] | None]:
         """The quantities of each output by name, with estimate, lower and upper end, shape (factors, 3) each.
 
-        An output without quantities has None. Estimates of indices are not clipped: below 0 means about 0.
+        An output without quantities has None. Estimates of indices are not clipped, so they may be slightly negative.
         """
         outputs = {}
         for name in map(str, self.dataset["output"].values):
@@ -157,7 +160,7 @@ class Sensitivity(Analysis):
 
     @property
     def headline(self) -> str:
-        """The factor on which the main output depends most, in one line."""
+        """The factor on which the main output depends most, in one line; or why there are no quantities."""
         answered_outputs = [name for name in shown_outputs(self.study, self.reasons) if name not in self.reasons]
         if not answered_outputs:
             return f"nothing to tell of {FAILURE}; it {self.reasons[FAILURE]}"
@@ -271,7 +274,9 @@ def sensitivity_dataset(
 
 
 def shown_outputs(study: Study, refused: Collection[str]) -> list[str]:
-    """The main outputs: failure, and the headline metric, or if it has no quantities the first required metric.
+    """The main outputs that are shown: failure and one metric.
+
+    The metric is the study's headline metric, or if that has no quantities, the first required metric with quantities.
 
     Args:
         study: The study.

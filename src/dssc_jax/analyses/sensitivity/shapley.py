@@ -37,8 +37,13 @@ from dssc_jax.study import Study
 def random_orders(rows: int, factors: int, seeds: tuple[int, ...]) -> np.ndarray:
     """The order in which the factors become known in each row, as indices of factors, shape (rows, factors).
 
-    The orders are random, but come in pairs: the second is the reverse of the first, which lowers the variance. Both
-    rows of a pair belong to the same replicate (row i belongs to replicate i mod R).
+    The orders are random, but come in pairs: the second order of a pair is the reverse of the first, which lowers the
+    variance. Both rows of a pair belong to the same replicate (row i belongs to replicate i mod R).
+
+    Args:
+        rows: Number of rows, a multiple of twice the number R of replicates.
+        factors: Number of factors.
+        seeds: Seeds of the random generator.
     """
     orders = generator(*seeds).permuted(np.tile(np.arange(factors), (rows // 2, 1)), axis=1)
     reverses = orders[:, ::-1]
@@ -48,11 +53,11 @@ def random_orders(rows: int, factors: int, seeds: tuple[int, ...]) -> np.ndarray
 
 
 def chained_scores(correlation: np.ndarray, first: np.ndarray, second: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Correlated normal scores of the chained simulations, which take over the first point factor by factor.
+    """Correlated normal scores of the chained simulations, which move from the second to the first point.
 
-    The simulation k takes the first k factors of the order from the first point, and the others from the second. The
-    Cholesky factor of the correlation in this order mixes the independent scores, so that the others follow their
-    conditional law given the first k factors.
+    Simulation k takes the first k factors of the order from the first point, and the other factors from the second. The
+    Cholesky factor of the correlation matrix, sorted in this order, mixes the independent scores. So the other factors
+    follow their conditional law given the first k factors.
 
     Args:
         correlation: Correlation of the scores, shape (factors, factors).
@@ -78,9 +83,10 @@ def chained_scores(correlation: np.ndarray, first: np.ndarray, second: np.ndarra
 def shapley_effects(values: np.ndarray, order: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
     """Shapley effects of an output, the share of its variance that each factor explains, with their intervals.
 
-    Half the squared difference of the last simulation and simulation k has as its mean the variance that the first k
-    factors leave unexplained. Its fall from k - 1 to k is the part of the factor at place k of the order. The interval
-    of this part's ratio to the variance is linearised. What this number of rows may have missed widens it.
+    The mean of half the squared difference between the last simulation and simulation k is the variance that the first
+    k factors leave unexplained. Its decrease from k - 1 to k is the part of the factor at place k of the order. An
+    effect is the ratio of the mean part to the variance. The interval of this ratio is linearised, and widened for
+    rare rows that a sample of this size may have missed.
 
     Args:
         values: Outputs of the chained simulations, shape (factors + 1, rows); row i belongs to replicate i mod R.

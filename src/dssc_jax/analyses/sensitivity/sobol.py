@@ -32,7 +32,7 @@ SINGULAR = 1e-10  # relative size of a singular value that counts as 0 in the eq
 
 
 class SobolIndices(NamedTuple):
-    """Sobol indices of an output, each with estimate, lower and upper end; below 0 means about 0.
+    """Sobol indices of an output, each with estimate, lower and upper end; an index of about 0 may be negative.
 
     Args:
         first: First-order indices, shape (factors, 3).
@@ -46,8 +46,13 @@ class SobolIndices(NamedTuple):
 def saltelli_samples(rows: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """The samples A and B, shape (rows, factors) each: two independent points of the unit cube for each row.
 
-    They are the two halves of the coordinates of a scrambled Sobol sequence. Row i belongs to replicate i mod R, and
+    A and B are the two halves of the coordinates of a scrambled Sobol sequence. Row i belongs to replicate i mod R, and
     each of the R replicates is scrambled independently.
+
+    Args:
+        rows: Number of rows, a multiple of R.
+        factors: Number of coordinates of A and of B.
+        seeds: Seeds of the scrambling; the index of the replicate is appended as a further seed.
     """
     nets = [sobol_points(2 * factors, 0, rows // REPLICATES, (*seeds, r)) for r in range(REPLICATES)]
     points = np.stack(nets, axis=1).reshape(rows, 2 * factors)
@@ -66,8 +71,9 @@ def sobol_indices(
     S_i is the share of the variance that the factor explains alone, S_Ti its share with all interactions. With centred
     outputs f, S_i = E[f_B f_ABi]/V and S_Ti = E[(f_A - f_ABi)^2]/(2 V), where V is the variance over A and B.
 
-    The interval of such a ratio is linearised. Its half length adds two parts as squares: Student's t interval over the
-    replicates, which is 0 if a factor changes no row, and what this number of rows may have missed.
+    The interval of such a ratio is linearised. Its half length is the root of the sum of two squares: the half length
+    of Student's t interval over the replicates, which is 0 if a factor changes no row, and an allowance for rare rows
+    that a sample of this size may have missed.
 
     Args:
         f_a: Output at A, shape (rows,); row i belongs to replicate i mod R, see :func:`saltelli_samples`.
@@ -106,7 +112,9 @@ def sobol_indices(
 def correct_terms(
     numerators: np.ndarray, variance_terms: np.ndarray, predicted: ChaosPrediction
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Replace the predicted part of numerators and variance by its exact mean, which lowers their scatter.
+    """Correct the terms of numerators and variance by a prediction, which lowers their scatter.
+
+    From each term, the term of the prediction g is subtracted, and its exact mean is added.
 
     Args:
         numerators: Each row's term of the numerators of all first-order, then all total indices,
@@ -132,8 +140,8 @@ def correct_terms(
 def control_variates(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray) -> np.ndarray:
     """Products of the centred outputs whose mean is known to be 0, shape (rows, 3).
 
-    The first alone turns the numerator f_B f_AB into Saltelli's estimator of a first-order index, the second alone into
-    Jansen's; neither is better for every index.
+    The numerator f_B f_AB of a first-order index minus the first product gives Saltelli's estimator, and minus the
+    second product Jansen's. Neither is better for every index, so :func:`subtract_controls` combines all three.
 
     Args:
         f_a: Centred output at A, shape (rows,).
@@ -146,8 +154,9 @@ def control_variates(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray) -> np.n
 def subtract_controls(numerator: np.ndarray, variance_terms: np.ndarray, controls: np.ndarray) -> np.ndarray:
     """Subtract from a numerator the combination of control variates that minimises the variance of its index.
 
-    Coefficients are fitted by least squares. The coefficients of a replicate come from all other replicates, so the
-    index stays unbiased, and the scatter between replicates is not fitted away.
+    The coefficients of the combination are fitted by least squares. Those for a replicate are fitted to the rows of all
+    other replicates. So the index stays unbiased, and the fit does not reduce the scatter between replicates from which
+    the interval follows.
 
     Args:
         numerator: Each row's term of the numerator, shape (rows,).

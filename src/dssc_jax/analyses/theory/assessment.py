@@ -37,7 +37,7 @@ OSCILLATION = ("amplitude", "predicted", "frequency")
 
 @dataclass(frozen=True)
 class TheoremAnswer:
-    """How far the number may change by Theorem 1, for all draws at once."""
+    """How far the number may change according to Theorem 1, for all draws at once."""
 
     certified: Annotated[float | None, Quantity(PARAMETER_UNIT, "last value that Theorem 1 certifies for all draws")]
     text: Annotated[str, Quantity("", "what Theorem 1 certifies, in words")]
@@ -58,13 +58,13 @@ class CriticalStatistics:
 
     @classmethod
     def of(cls, answer: MarginAnswer) -> Self:
-        """The statistics within an answer for margins, whose fields have the same names."""
+        """Copy the statistics from an answer for margins, whose fields have the same names."""
         return cls(**{field.name: getattr(answer, field.name) for field in fields(cls)})
 
 
 @dataclass(frozen=True)
 class Oscillation:
-    """A controller's oscillation at several time constants of the unmodelled dynamics, shape (n,) each."""
+    """A controller's oscillation at n time constants of the unmodelled dynamics; each field has the shape (n,)."""
 
     mu: Annotated[np.ndarray, Quantity("s", "time constants")]
     amplitude: Annotated[np.ndarray, Quantity("output/s", "simulated amplitude of sigma")]
@@ -94,15 +94,15 @@ class TheoryAnswer:
 class Assessment(Analysis):
     """The margins of a number by Theorem 1, linearisation, describing functions and Monte Carlo.
 
-    The dataset merges the datasets of :class:`dssc_jax.analyses.margins.Margins`, along the additional dimension
-    ``margin``, and the return values of :func:`chattering`, along the additional dimension ``controller``.
+    The dataset merges the datasets of several :class:`dssc_jax.analyses.margins.Margins`, along the additional
+    dimension ``margin``, and those that :func:`chattering` returns, along the additional dimension ``controller``.
 
     Args:
-        parts: What the dataset does not say of the margins ``performance``, ``sampled`` and ``continuous``, by name.
-        oscillating: Attributes of the oscillations' datasets, by controller.
-        edge: Local critical value with all laws at their medians, if the number is the time constant of the unmodelled
-            dynamics [s]; None if there is none.
-        not_covered: The reason why one of these margins, or the oscillations, are missing, by name.
+        parts: Facts about the margins ``performance``, ``sampled`` and ``continuous`` that the dataset lacks, by name.
+        oscillating: Attributes of the datasets of the oscillations, by controller.
+        edge: Critical time constant of the linearised sampled loop with all laws at their medians [s]. None if another
+            number is varied, or no critical value is on the walk.
+        not_covered: The reason why a margin of the linearised loop, or an oscillation, is missing, by name.
         seconds: Computing time [s].
     """
 
@@ -126,14 +126,14 @@ class Assessment(Analysis):
         not_covered: dict[str, str],
         seconds: float,
     ) -> Self:
-        """The assessment of margins and oscillations, which it joins in a dataset.
+        """Make the assessment from margins and oscillations, joined in one dataset.
 
         Args:
             performance: Simulated margins for the requirements.
-            local: Margins of the linearised loop, by kind.
+            local: Margins of the linearised loop, by kind of linearisation.
             oscillations: The return value of :func:`chattering`, by controller.
-            edge: Local critical time constant with all laws at their medians [s]; None if there is none.
-            not_covered: The reason why one of these margins, or the oscillations, are missing, by name.
+            edge: Critical time constant as in :class:`Assessment` [s]; None if there is none.
+            not_covered: The reason why a margin of the linearised loop, or an oscillation, is missing, by name.
             seconds: Computing time [s].
         """
         margins = {PERFORMANCE: performance}
@@ -169,7 +169,7 @@ class Assessment(Analysis):
 
     @property
     def local(self) -> dict[Time, Margins]:
-        """Margins of the loop linearised at the origin, sampled and in continuous time, by kind."""
+        """Margins of the loop linearised at the origin, by kind of linearisation: sampled or in continuous time."""
         return {Time(name): margins for name, margins in self.all_margins.items() if name != PERFORMANCE}
 
     @cached_property
@@ -183,7 +183,7 @@ class Assessment(Analysis):
 
     @property
     def margins(self) -> dict[str, Margins]:
-        """Simulated and linearised margins, by their criterion in words."""
+        """Margins by simulation and by linearisation, by the title that a figure shows."""
         titles = {Time.SAMPLED: "local, sampled loop (eigenvalues)", Time.CONTINUOUS: "local, continuous (eigenvalues)"}
         local = {titles[kind]: margins for kind, margins in self.local.items()}
         return {"performance (simulated)": self.performance, **local}
@@ -276,7 +276,7 @@ def assess(
         values = time_constants(study, over, bounds)
         after = SETTLED * study.config.loop.duration
         loops = {kind_in(study.config, "controller"): study, **(rivals or {})}
-        for name, loop in loops.items():  # those before an error are kept
+        for name, loop in loops.items():  # an error keeps the oscillations found before it
             oscillations[name] = chattering(loop, values, push=PUSH, after=after)
     except ConfigError as error:
         not_covered[OSCILLATIONS] = error.rule
@@ -284,7 +284,9 @@ def assess(
 
 
 def local_margins(study: Study, walk: Mapping[str, Any]) -> tuple[dict[Time, Margins], dict[str, str]]:
-    """The margins of the linearised loop by kind, and by the name of each missing kind the reason why it is missing.
+    """Compute the margins of the linearised loop for each kind of linearisation that the study allows.
+
+    Returns the margins by kind, and for each other kind, by its name, the reason why it has no margins.
 
     Args:
         study: The study without a sweep.
@@ -301,7 +303,7 @@ def local_margins(study: Study, walk: Mapping[str, Any]) -> tuple[dict[Time, Mar
 
 
 def median_edge(study: Study, walk: Mapping[str, Any]) -> float | None:
-    """Critical value of the sampled, linearised loop with all laws at their medians; None if it is not on the walk.
+    """Critical value of the linearised sampled loop with all laws at their medians; None if it is not on the walk.
 
     Args:
         study: The study without a sweep.
@@ -313,7 +315,7 @@ def median_edge(study: Study, walk: Mapping[str, Any]) -> float | None:
 
 
 def is_time_constant(study: Study, name: str) -> bool:
-    """Whether a dotted name belongs to the time constant of the unmodelled dynamics."""
+    """Whether a dotted name is that of the time constant of the unmodelled dynamics."""
     try:
         return time_constant_of(study) == name
     except ConfigError:
@@ -321,7 +323,7 @@ def is_time_constant(study: Study, name: str) -> bool:
 
 
 def time_constants(study: Study, over: str, bounds: tuple[float, float]) -> list[float]:
-    """The time constants at which oscillations are computed [s], within the walk and resolved by the sample time.
+    """The time constants at which oscillations are computed [s]: within the walk, and at least 20 samples long.
 
     Args:
         study: The study.
@@ -329,7 +331,7 @@ def time_constants(study: Study, over: str, bounds: tuple[float, float]) -> list
         bounds: Both ends of the walk.
 
     Raises:
-        ConfigError: There are none, or the walk is not over the time constant of the unmodelled dynamics.
+        ConfigError: All time constants of the walk are too short, or the walk is over another number.
     """
     if len(study.loop.channels) > 1 or over != time_constant_of(study):
         rule = "oscillations are predicted over the time constant of the unmodelled dynamics, on a plant of one channel"

@@ -21,7 +21,7 @@ def time_constant_of(study: Study) -> str:
     """Dotted name of the time constant that the unmodelled dynamics declare, such as ``unmodelled.mu``.
 
     Raises:
-        ConfigError: They declare none.
+        ConfigError: The unmodelled dynamics declare no time constant.
     """
     path = f"unmodelled.0.{study.loop.unmodelled[0].time_constant}"  # within the loop's parameters; 0: only channel
     for name, number in study.numbers.items():
@@ -34,17 +34,18 @@ def time_constant_of(study: Study) -> str:
 def chattering(study: Study, values: Sequence[float], *, push: float, after: float) -> xr.Dataset:
     """Simulate and predict the oscillation of sigma after a small push, over the time constant of unmodelled dynamics.
 
-    Apart from the push the loop is at rest, and laws are at their medians.
+    Apart from the push the loop is at rest, and uncertain numbers have the medians of their laws.
 
     Args:
         study: A study of one channel whose unmodelled dynamics declare ``time_constant``, such as a lag.
         values: Time constants mu [s].
-        push: Initial output [output].
+        push: Initial output, in the unit of the output.
         after: Time after which oscillations have settled or decayed [s].
 
     Returns:
-        Along the name of the time constant, such as ``unmodelled.mu``: ``amplitude``, the largest |sigma| after that
-        time, and ``predicted`` and ``frequency`` by describing function, NaN if there is none.
+        A dataset along the time constant, a dimension with its dotted name. ``amplitude`` is the largest simulated
+        |sigma| after the time ``after``. ``predicted`` and ``frequency`` are amplitude and frequency by the describing
+        function; NaN if the controller has none or no oscillation is predicted.
 
     Raises:
         ConfigError: The unmodelled dynamics have no time constant, or T_s exceeds a 20th of the smallest mu.
@@ -62,7 +63,7 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         "sweep": {mu: [float(value) for value in values]},
     }
     result = running.run(resting.override({**medians(resting), **changes}))
-    simulated_amplitude = result.dataset["sigma_max"].values[:, 0]  # of the only draw
+    simulated_amplitude = result.dataset["sigma_max"].values[:, 0]  # 0: the only draw
     predicted_amplitude = np.full(len(values), np.nan)
     predicted_frequency = np.full(len(values), np.nan)
     if study.loop.controller[0].describing is not None:

@@ -44,12 +44,13 @@ class LimitCycle(NamedTuple):
 
 
 def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> LimitCycle | None:
-    """Predict the chattering of a loop by the describing function of its controller; None if it predicts none.
+    """Predict the chattering of a loop by the describing function of its controller; None if none is predicted.
 
     Args:
         study: A study on a plant of one channel whose controller declares its describing function (``smc``, ``sta``),
             with a lag or without unmodelled dynamics.
-        point: Values of some numbers; the others have their own values, and laws their medians.
+        point: Values of some numbers by dotted name; all other numbers have the study's values, or the medians of
+            their laws.
 
     Raises:
         ConfigError: The law's describing function is not known, or the unmodelled dynamics have no form in continuous
@@ -63,7 +64,7 @@ def limit_cycles(study: Study, points: Sequence[Mapping[str, float]]) -> list[Li
 
     Args:
         study: The study, as for :func:`limit_cycle`.
-        points: Values of some numbers at each point; the others have their own values, and laws their medians.
+        points: For each point, values of some numbers by dotted name, as for :func:`limit_cycle`.
 
     Raises:
         ConfigError: The law's describing function is not known, or the unmodelled dynamics have no form in continuous
@@ -92,7 +93,7 @@ def limit_cycles(study: Study, points: Sequence[Mapping[str, float]]) -> list[Li
 def solve_balance(response: Linearised, balance: HarmonicBalance) -> LimitCycle | None:
     """Solve the harmonic balance for the limit cycle of the highest frequency, at which chattering settles.
 
-    A scan of frequencies brackets the solutions, and a root search refines the last.
+    A scan of frequencies brackets the solutions. A root search refines the solution with the highest frequency.
 
     Args:
         response: The linear loop from the robust command to sigma.
@@ -103,12 +104,15 @@ def solve_balance(response: Linearised, balance: HarmonicBalance) -> LimitCycle 
     """
 
     def negative_inverse(w: float) -> complex:
-        """-1/W(i w) of the linear loop at the frequency w [rad/s]."""
+        """-1/W(i w) at the frequency w [rad/s], with the transfer function W of the linear loop."""
         gain = response.c @ np.linalg.solve(1j * w * np.eye(len(response.a)) - response.a, response.b)
         return complex(-1.0 / gain)
 
     def residual(w: float) -> float:
-        """Residual of the harmonic balance at the frequency w [rad/s]; NaN where no amplitude solves its real part."""
+        """Residual of the harmonic balance at the frequency w [rad/s], with the amplitude that solves its real part.
+
+        NaN if no amplitude does.
+        """
         q = negative_inverse(w)
         return balance.residual(q, balance.amplitude(q), w) if q.real > 0.0 else math.nan
 

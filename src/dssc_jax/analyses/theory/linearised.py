@@ -28,8 +28,9 @@ ORIGIN = ReferencePoint(0.0, 0.0, 0.0)
 class Linearised(NamedTuple):
     """The loop without its robust control, linearised at the origin: x' = A x + B u, sigma = C x.
 
-    It leads from the robust command u through unmodelled dynamics, plant and nominal control to the sliding variable
-    sigma. Its state x consists of the states of the plant and of the unmodelled dynamics.
+    The input is the robust command u, and the output is the sliding variable sigma. In between are the unmodelled
+    dynamics, the plant and the nominal control. The state x consists of the states of the plant, then those of the
+    unmodelled dynamics.
 
     Args:
         a: A, shape (states, states).
@@ -43,7 +44,9 @@ class Linearised(NamedTuple):
 
 
 def at_rest(study: Study) -> Study:
-    """The study without inputs, so that its loop can rest: no reference, no disturbance, and the plant's state at zero.
+    """The study with its inputs removed, so that the loop can rest.
+
+    Reference and disturbance are zero, the plant starts at zero, and there is no sweep.
 
     Raises:
         ConfigError: The plant has several channels.
@@ -59,8 +62,8 @@ def at_rest(study: Study) -> Study:
 def require_continuous(study: Study) -> None:
     """Refuse a study whose loop has no form in continuous time.
 
-    Such a form takes a controller with a law (22), proportional plus integral in sigma, and continuous unmodelled
-    dynamics.
+    A loop has such a form if its controller synthesises a law (22), proportional plus integral in sigma, and its
+    unmodelled dynamics are continuous.
 
     Args:
         study: A study on a plant of one channel.
@@ -100,9 +103,9 @@ def require_continuous_dynamics(study: Study, dynamics: Unmodelled) -> None:
 
 
 def opaque_parts(study: Study) -> list[str]:
-    """Names of the sections, of sensor and differentiator, whose part changes y or y' on the way to the controller.
+    """Which of the sections ``sensor`` and ``differentiator`` change y or y' on the way to the controller.
 
-    :func:`open_loop` leaves sensor and differentiator out, so results name these parts.
+    :func:`open_loop` leaves sensor and differentiator out, so results have to name those that are not transparent.
 
     Args:
         study: A study on a plant of one channel.
@@ -118,7 +121,9 @@ def opaque_parts(study: Study) -> list[str]:
 
 
 def kinds_with(registry: Registry, field: str) -> list[str]:
-    """The kinds of models in a registry that can have an optional property, such as a law (22), for messages.
+    """The kinds of models in a registry of which some form has an optional property, such as a law (22).
+
+    The names are for error messages.
 
     Args:
         registry: The registry of controllers or actuators.
@@ -134,8 +139,8 @@ def kinds_with(registry: Registry, field: str) -> list[str]:
 def open_loop(loop: Loop, params: LoopParams) -> Linearised:
     """Linearise plant, nominal control and unmodelled dynamics, from the robust command to sigma, at the origin.
 
-    Unmodelled dynamics are given by their step of length dt. Its derivative by dt at dt = 0 is the derivative of their
-    state by time.
+    Unmodelled dynamics are given as a step of length dt. The derivative of this step by dt, at dt = 0, is the
+    derivative of their state by time.
 
     Args:
         loop: A loop at rest; see :func:`require_continuous`.
@@ -149,18 +154,18 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
     quiet = PlantInput(0.0, 0.0, None, quiet_inputs(loop.plant, params.plant))
 
     def error_at(state: jax.Array) -> TrackingError:
-        """The tracking error, with sigma, in a state of plant and unmodelled dynamics."""
+        """The tracking error, including sigma, in a state vector of plant and unmodelled dynamics."""
         x = unravel_plant(state[: plant_states.size])
         return tracking_error(loop.plant.measure(params.plant, x, quiet), ORIGIN, gains.l0)
 
     def derivative(state: jax.Array, u: Scalar) -> jax.Array:
-        """The derivative of the state of plant and unmodelled dynamics by time, under the robust command u."""
+        """The time derivative of the state vector of plant and unmodelled dynamics, under the robust command u."""
         x = unravel_plant(state[: plant_states.size])
         z = unravel_dynamics(state[plant_states.size :])
         total = u + nominal_control(gains.nominal, gains.l0, error_at(state), ORIGIN, predictor_pole_at_rest(gains))
 
         def z_after(dt: jax.Array) -> Any:
-            """The state of the unmodelled dynamics after a step of length dt."""
+            """The state of the unmodelled dynamics after a step of length dt [s] from z under the command ``total``."""
             return model.step(dynamics, z, total, dt)
 
         _, z_rate = jax.jvp(z_after, (0.0,), (1.0,))  # the derivative by dt at dt = 0
@@ -180,7 +185,8 @@ def predictor_pole_at_rest(gains: Any) -> Scalar:
     """The pole 1/tau_m of the predictor at the origin [1/s]; 0 for a controller without a predictor.
 
     Args:
-        gains: Parameters of the controller. Those with a predictor have functions of sigma and e, tau_m among them.
+        gains: Parameters of the controller. A controller with a predictor has the field ``functions``: functions of
+            sigma and e, of which tau_m is one.
     """
     if not hasattr(gains, "functions"):
         return 0.0
@@ -198,7 +204,7 @@ def continuous_matrix(loop: Loop, params: LoopParams) -> jax.Array:
     """
     a, b, c = open_loop(loop, params)
     law = loop.controller[0].synthesised
-    assert law is not None  # held by require_continuous, before tracing
+    assert law is not None  # require_continuous has checked this before tracing
     proportional_gain, integral_gain = law(params.controller[0])
     closed_loop = a - proportional_gain * jnp.outer(b, c)
     return jnp.block([[closed_loop, b[:, None]], [-integral_gain * c[None, :], jnp.zeros((1, 1))]])
@@ -218,20 +224,20 @@ class RestLinearisation(NamedTuple):
 
 
 def start_at_rest(loop: Loop, params: LoopParams) -> jax.Array:
-    """The state after the first sample as a vector, shape (states,), at which a loop is linearised."""
+    """The state after the first sample as a vector, shape (states,): the point at which a loop is linearised."""
     vector, _ = ravel_pytree(state_after_first_sample(loop, params))
     return vector
 
 
 def state_after_first_sample(loop: Loop, params: LoopParams) -> LoopState:
-    """The state after the first sample, since a controller may treat its first sample unlike the others."""
+    """The state of a loop after the first sample, in which a controller may behave differently from all others."""
     key = jax.random.key(0)  # a loop at rest has no noise
     state, _ = step(loop, params, key, initial_state(loop, params, key), 0)
     return state
 
 
 def linearise_at_rest(loop: Loop, params: LoopParams) -> RestLinearisation:
-    """Linearise the sampled loop: differentiate its step in the second sample by the state after the first.
+    """Linearise the sampled loop: differentiate the step of the second sample by the state after the first sample.
 
     Args:
         loop: A loop at rest; see :func:`at_rest`.
@@ -241,7 +247,7 @@ def linearise_at_rest(loop: Loop, params: LoopParams) -> RestLinearisation:
     start, unravel = ravel_pytree(state_after_first_sample(loop, params))
 
     def next_state(state: jax.Array) -> jax.Array:
-        """The state as a vector one sample later."""
+        """The state one sample after ``state``, both as vectors of shape (states,)."""
         after, _ = step(loop, params, key, unravel(state), 1)  # 1: index of the second sample
         vector, _ = ravel_pytree(after)
         return vector

@@ -56,7 +56,7 @@ CRITERIA = {
 
 
 def criteria(study: Study, kind: Time) -> tuple[str, ...]:
-    """What a kind of linearisation asks of a draw and which parts of the loop it leaves out, in words for reports.
+    """Describe for reports what a draw has to meet in a linearisation, and which parts of the loop are left out.
 
     Args:
         study: A study on a plant of one channel.
@@ -71,11 +71,11 @@ def criteria(study: Study, kind: Time) -> tuple[str, ...]:
 
 
 def require_in_criterion(study: Study, over: str, kind: Time) -> None:
-    """Refuse a number of a part that the linearisation leaves out, since it has no effect there.
+    """Refuse a number that has no effect because the linearisation leaves out the part of the loop it belongs to.
 
     Args:
         study: A study on a plant of one channel.
-        over: Dotted name of the number; the name of its section comes first.
+        over: Dotted name of the number, which begins with the name of its section.
         kind: Sampled or continuous.
 
     Raises:
@@ -93,7 +93,7 @@ def require_effect_at_rest(study: Study, resting: Study, over: str) -> None:
 
     Args:
         study: The study.
-        resting: The same study at rest.
+        resting: The same study at rest, see :func:`at_rest`.
         over: Dotted name of the number, or ``spread``.
 
     Raises:
@@ -105,12 +105,12 @@ def require_effect_at_rest(study: Study, resting: Study, over: str) -> None:
 
 
 class Spectrum(NamedTuple):
-    """A function that computes the eigenvalues of a linearised loop, and notes on what it replaced in the loop.
+    """A function that computes the eigenvalues of a linearised loop, and notes on parts replaced in this loop.
 
     Args:
         eigenvalues: (values of every law and every swept number by name, shape (n,) each) -> eigenvalues,
-            shape (n, states), of the step from sample to sample [1], or in continuous time [1/s]. It raises ConfigError
-            if the loop does not start at rest, or has no derivative there.
+            shape (n, states), of the step from sample to sample [1], or in continuous time [1/s]. The call raises
+            ConfigError if the loop does not start at rest, or has no derivative there.
         notes: Sentences on the substitutes of parts without a derivative. The list grows as ``eigenvalues`` meets parts
             at their corners.
     """
@@ -122,14 +122,15 @@ class Spectrum(NamedTuple):
 def spectrum(study: Study, kind: Time) -> Spectrum:
     """Compile the computation of the linearised loop's eigenvalues for many draws.
 
-    Parts without a derivative have smooth substitutes.
+    Parts without a derivative are replaced by smooth substitutes.
 
     Args:
         study: A study at rest, see :func:`at_rest`.
         kind: Sampled or continuous.
 
     Raises:
-        ConfigError: A part does not declare where it is smooth, or is smooth nowhere.
+        ConfigError: A part does not declare where it is smooth, or is smooth nowhere and has no substitute; or the loop
+            has no form in continuous time, where that is asked for.
     """
     parts = declared_places(study, moving=False)
     is_continuous = kind == Time.CONTINUOUS
@@ -137,11 +138,14 @@ def spectrum(study: Study, kind: Time) -> Spectrum:
         require_continuous(study)
 
     def smooth_loop(values: dict[str, jax.Array]) -> tuple[Loop, LoopParams]:
-        """The loop with smooth substitutes and its parameters, for the values of a draw."""
+        """The loop with smooth substitutes, and its parameters, for the values of one draw; traced."""
         return substituted(study.loop, study.params(values), parts)
 
     def keyed_loop(values: dict[str, jax.Array], index: jax.Array) -> tuple[Loop, LoopParams, jax.Array]:
-        """The smooth loop of a draw with the key with which :func:`start_at_rest` makes its sample."""
+        """The smooth loop of a draw, its parameters, and the random key that :func:`start_at_rest` uses.
+
+        ``index`` is not used: a loop at rest has no noise, so all draws share the key.
+        """
         return *smooth_loop(values), jax.random.key(0)
 
     def start(values: dict[str, jax.Array]) -> jax.Array:
@@ -149,7 +153,7 @@ def spectrum(study: Study, kind: Time) -> Spectrum:
         return start_at_rest(*smooth_loop(values))
 
     def linearise(values: dict[str, jax.Array], findings: jax.Array) -> RestLinearisation:
-        """Linearise the loop of a draw; a part at a corner of its map, by the findings, has a substitute."""
+        """Linearise the loop of a draw; a part that ``findings`` place at a corner of its map has a substitute."""
         loop, params = smooth_loop(values)
         if is_continuous:
             return RestLinearisation(continuous_matrix(loop, params), jnp.zeros(()))  # no sample, so nothing moves
@@ -162,7 +166,7 @@ def spectrum(study: Study, kind: Time) -> Spectrum:
     linearisations = jax.jit(jax.vmap(linearise), compiler_options=options)
 
     def eigenvalues(values: Arrays) -> np.ndarray:
-        """The eigenvalues of the draws, shape (n, states); see :class:`Spectrum`."""
+        """The eigenvalues of n draws, shape (n, states): the function that :class:`Spectrum` describes."""
         with jax.enable_x64(True):
             rest_states = np.asarray(starts(values))
             findings = examine(values, np.arange(len(rest_states)), rest_states, SECOND_SAMPLE)
@@ -225,7 +229,10 @@ def local_margin(
     eigenvalues_of, notes = spectrum(swept, kind)
 
     def decay_rates(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Rate [1/s] at which the slowest deviation of some draws decays, each at a value of the number."""
+        """Rate [1/s] at which the slowest deviation of each of some draws decays, each at its value of the number.
+
+        A negative rate means that the deviation grows.
+        """
         batch = np.resize(lanes, draws)  # repeated up to all draws: another size would be compiled again
         laws_of_batch = {name: column[batch] for name, column in laws.items()}
         numbers = numbers_of(laws_of_batch, np.resize(values, draws))

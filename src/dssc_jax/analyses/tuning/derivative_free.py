@@ -27,9 +27,9 @@ POPULATION = 8  # members of a generation for each coordinate
 
 
 def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | None) -> SearchRecord:
-    """Run differential evolution on the training draws, for objectives whose derivatives are not useful.
+    """Search by differential evolution on the training draws, for objectives whose derivatives are not useful.
 
-    A generation is one batch of simulations. There are as many generations as ``[tune]`` has steps.
+    Each generation is simulated in one batch. The number of generations is the number of steps in ``[tune]``.
 
     Args:
         problem: Objective and limits as functions of the search's coordinates.
@@ -49,7 +49,10 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
     search.record(problem, generation, *first)
 
     def costs_of(columns: np.ndarray) -> np.ndarray:
-        """Cost of each member of a generation; SciPy passes shape (size, members), or (size,) for a single member."""
+        """Cost of each member of a generation, shape (members,), from the members' coordinates.
+
+        SciPy passes the shape (size, members), or (size,) for a single member.
+        """
         return costs_at(problem, np.atleast_2d(columns.T), first.scale, evaluator)
 
     def record(z: np.ndarray) -> None:
@@ -57,7 +60,10 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
         search.record(problem, generation, problem.evaluate(z, problem.train), problem.evaluate(z))
 
     def after_generation(z: np.ndarray, convergence: float) -> bool:
-        """Count a generation and record its best member from time to time; False: go on."""
+        """Count a generation, and record the best member after every :data:`UPDATE` generations.
+
+        SciPy passes ``convergence``, which is not used. The return value False lets the evolution continue.
+        """
         nonlocal generation
         generation += 1
         if generation % UPDATE == 0:
@@ -78,19 +84,19 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
 
 
 def lanes_per_point(problem: Problem) -> int:
-    """Number of lanes that a point of the search takes: the training draws, then the counterexamples."""
+    """Number of lanes that a point of the search takes: one for each training draw and each counterexample."""
     return len(problem.train) + len(problem.counterexample_draws)
 
 
 def costs_at(problem: Problem, z: np.ndarray, scale: float, evaluator: Evaluator) -> np.ndarray:
-    """Relative objective plus penalty of each of several points on the training draws, shape (points,).
+    """Cost of each of several points on the training draws, shape (points,): relative objective plus penalty.
 
     A point that is not admissible, or whose draws end early, has the cost :data:`UNFIT`.
 
     Args:
         problem: Objective and limits as functions of the search's coordinates.
         z: Coordinates of the points, shape (points, n).
-        scale: Size of the start's objective.
+        scale: Size of the start's objective, by which objectives are divided.
         evaluator: The program, without derivatives.
     """
     goal = problem.goal_on(problem.train)
@@ -115,7 +121,8 @@ FINE_SCORE = 1e-3  # largest difference of scores in the last simplex
 class ProvedComparison:
     """The proved number that was optimised, at the start and in the result.
 
-    ``over`` is None unless the last value at which the loop is proved was optimised.
+    ``over`` is a name if the optimised number was the last value of another number at which the loop is proved; None if
+    it was a proved error.
     """
 
     aim: Annotated[str, Quantity("", "what was optimised")]
@@ -125,9 +132,10 @@ class ProvedComparison:
 
 
 def score_at(problem: Problem, z: np.ndarray) -> float:
-    """Score of a point from its proved number, which the simplex minimises; infinite without a proof.
+    """Score of a point by its proved number; the simplex minimises the score. Infinite without a proof.
 
-    It is the logarithm of a proved error, and minus the logarithm of the last value at which the loop is proved.
+    If a proved error is optimised, the score is its logarithm. If the last value at which the loop is proved is
+    optimised, the score is minus its logarithm, since a large value is good.
     """
     value = problem.plan.aim_at(problem.plan.numbers_at(z)).value
     if value is None:
@@ -138,8 +146,8 @@ def score_at(problem: Problem, z: np.ndarray) -> float:
 def optimise_proof(problem: Problem, first: StartPoints, progress: ProgressCallback | None) -> SearchRecord:
     """Optimise the proved number by the Nelder-Mead simplex, in the scaled logarithms of the tuned numbers.
 
-    A point without a proof is never accepted. Limits and requirements count on the draws, as in other searches: the
-    training draws guide the simplex, and the best point on the validation draws is the result.
+    A point without a proof is never accepted. Limits and requirements are evaluated on draws, as in other searches: the
+    training draws guide the simplex, and the result is the best point on the validation draws.
 
     Args:
         problem: Objective and limits as functions of the search's coordinates.

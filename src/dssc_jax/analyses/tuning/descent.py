@@ -37,8 +37,8 @@ class Multipliers:
 
     The relative objective f is minimised; the relative excesses g over the limits have to be g <= 0. With the penalty c
     the Lagrangian is f + sum (max(0, lambda + c g)^2 - lambda^2)/(2 c). A limit may be exceeded by more on the
-    validation draws than on the training draws. Then the difference, its gap, is added to g, so that the search keeps a
-    distance from limits on which its training draws are misleading.
+    validation draws than on the training draws. This difference, the gap of the limit, is added to g, so that the
+    search keeps a distance from a limit for which the training draws are too optimistic.
 
     Args:
         scale: Objective of the start, relative to which f is taken.
@@ -54,9 +54,10 @@ class Multipliers:
         self.gaps: dict[str, float] = {}
 
     def pushes(self, point: EvaluatedPoint) -> dict[str, float]:
-        """max(0, lambda + c g) of each limit, by name: its weight in the gradient, and its next multiplier.
+        """The value max(0, lambda + c g) of each limit, by name: the weight of the limit in the gradient.
 
-        lambda is the limit's multiplier, c the penalty and g the relative excess over the limit.
+        It also is the next multiplier. lambda is the present multiplier, c the penalty, and g the relative excess over
+        the limit with headroom and gap added.
         """
         pushes = {}
         for name, excess in point.merit.excess.items():
@@ -67,7 +68,8 @@ class Multipliers:
     def gradient(self, point: EvaluatedPoint) -> np.ndarray:
         """Gradient of the augmented Lagrangian by the search's coordinates, shape (n,).
 
-        A loop that chatters has a useless slope of the objective. Then the limits alone count, if one is exceeded.
+        The objective of a loop that chatters may have a useless, huge slope. In this case only the limits count if one
+        of them pushes.
         """
         total = point.gradient / self.scale
         pushes = self.pushes(point)
@@ -79,7 +81,7 @@ class Multipliers:
         return total
 
     def update(self, train: EvaluatedPoint, validation: EvaluatedPoint) -> None:
-        """Take the next multipliers, and the gaps between validation and training draws, at a point of the search.
+        """Update the multipliers, and the gaps between validation and training draws, at a point of the search.
 
         Args:
             train: The point, evaluated on the training draws.
@@ -91,7 +93,7 @@ class Multipliers:
 
 
 def validation_gaps(train: Merit, validation: Merit) -> dict[str, float]:
-    """How much more a point exceeds each limit on the validation draws than on the training draws; at least 0."""
+    """How much more a point exceeds each limit on the validation draws than on the training draws, at least 0."""
     return {name: max(0.0, excess - train.excess[name]) for name, excess in validation.excess.items()}
 
 
@@ -140,7 +142,7 @@ def descend(problem: Problem, first: StartPoints, progress: ProgressCallback | N
 
 
 def optimiser_of(table: TuneTable) -> optax.GradientTransformation:
-    """The optimiser of optax that ``[tune]`` names, with its learning rate, for gradients of length 1 at most."""
+    """The optimiser of optax that ``[tune]`` names, with its learning rate; longer gradients are cut to length 1."""
     rate: float | optax.Schedule = table.learning_rate
     if table.schedule == "cosine":
         rate = optax.cosine_decay_schedule(table.learning_rate, table.steps, FINAL_RATE)
@@ -163,7 +165,7 @@ def smoothing_width(first: float, finished_share: float) -> float:
 def shortened_step(
     problem: Problem, iterate: EvaluatedPoint, change: np.ndarray, batch: np.ndarray, worsening: float
 ) -> tuple[EvaluatedPoint, int]:
-    """Take a step, halved until it is allowed; if it never is, stay at the iterate and evaluate it again.
+    """Take a step, halved until the new point is allowed; if no point is, evaluate the present point again.
 
     Args:
         problem: Objective and limits as functions of the search's coordinates.
@@ -275,15 +277,15 @@ class QuadraticSearch:
     progress: ProgressCallback | None
     step_count: int = 0
     gaps: dict[str, float] = field(default_factory=dict)
-    _points: dict[bytes, AssessedPoint] = field(default_factory=dict)  # of the stage, by bytes of z
-    _stale: int = 0  # steps since the best one
+    _points: dict[bytes, AssessedPoint] = field(default_factory=dict)  # points of the stage, by bytes of z
+    _stale: int = 0  # steps since the best point
 
     def __post_init__(self) -> None:
-        """Fix the order of the limits."""
-        self.names = list(self.iterate.merit.excess)  # of the limits
+        """Fix the order of the limits, in which constraints are passed to SLSQP."""
+        self.names = list(self.iterate.merit.excess)  # names of the limits
 
     def at(self, x: np.ndarray) -> AssessedPoint:
-        """The point at x, which is evaluated once in a stage."""
+        """The point at x, shape (n + 1,); a point is evaluated only once in a stage."""
         z = x[:-1]
         key = z.tobytes()
         if key not in self._points:
@@ -293,7 +295,10 @@ class QuadraticSearch:
         return self._points[key]
 
     def cost(self, x: np.ndarray) -> float:
-        """The relative objective plus the penalty of the largest excess, the last entry of x."""
+        """The relative objective plus the penalty of the largest excess, the last entry of x.
+
+        A point that SLSQP must not use has the cost :data:`UNFIT`.
+        """
         point, is_fit = self.at(x)
         if not is_fit:
             return UNFIT
@@ -302,10 +307,11 @@ class QuadraticSearch:
     def gradient(self, x: np.ndarray) -> np.ndarray:
         """Gradient of the cost by x, shape (n + 1,).
 
-        SLSQP calls it at iterates only, so each new point here is a step, and is evaluated on the validation draws.
+        SLSQP asks for the gradient at iterates only. So each new point here is a step, and is evaluated on the
+        validation draws.
 
         Raises:
-            OutOfPatience: There was no improvement for too long.
+            OutOfPatience: No point was better for as many steps as the patience allows.
         """
         point = self.at(x).point
         if not np.array_equal(point.z, self.iterate.z):
@@ -316,7 +322,7 @@ class QuadraticSearch:
         """Count a step to a point, and record the point on the validation draws.
 
         Raises:
-            OutOfPatience: There was no improvement for too long.
+            OutOfPatience: No point was better for as many steps as the patience allows.
         """
         table = self.problem.plan.table
         self.step_count += 1
@@ -329,12 +335,10 @@ class QuadraticSearch:
             raise OutOfPatience
 
     def constraints(self, x: np.ndarray) -> np.ndarray:
-        """The functions that SLSQP keeps >= 0: the largest excess e, the last entry of x, less each limit's excess.
+        """The functions that SLSQP keeps >= 0, shape (limits,): e minus the excess over each limit.
 
-        Headroom and gap are added to the excess of a limit. A point whose draws end early exceeds every limit by 1.
-
-        Returns:
-            Shape (limits,).
+        The largest excess e is the last entry of x. Headroom and gap are added to the excess over a limit. A point
+        whose draws end early exceeds every limit by 1.
         """
         point = self.at(x).point
         tightened_excesses = []
@@ -344,7 +348,7 @@ class QuadraticSearch:
         return x[-1] - np.array(tightened_excesses)
 
     def constraint_slopes(self, x: np.ndarray) -> np.ndarray:
-        """Derivatives of :meth:`constraints` by x, shape (limits, n + 1); 0 by z if draws end early."""
+        """Derivatives of :meth:`constraints` by x, shape (limits, n + 1); those by z are 0 if draws end early."""
         point = self.at(x).point
         no_slope = np.zeros(len(x) - 1)
         by_z = np.array([point.slopes.get(name, no_slope) for name in self.names])
@@ -352,7 +356,7 @@ class QuadraticSearch:
         return np.hstack([-by_z, by_largest_excess])
 
     def run_stage(self, steps: int) -> None:
-        """Run SLSQP from the present iterate, until ``steps`` steps are taken in all stages together."""
+        """Run SLSQP from the present iterate, until the steps of all stages together are ``steps``."""
         self._points.clear()
         self._stale = 0
         start = np.append(np.clip(self.iterate.z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH), 0.0)
@@ -374,10 +378,10 @@ class QuadraticSearch:
         self.search.stopped = "all steps done" if all_done else "converged"
 
     def update_gaps(self) -> bool:
-        """Take the gaps of the limits at the present iterate; they stay if a validation draw ends early.
+        """Update the gaps of the limits at the present iterate; they stay if a validation draw ends early.
 
         Returns:
-            Whether the validation draws exceed a limit.
+            Whether the validation draws exceed a limit; False if one of them ends early.
         """
         validation = self.problem.evaluate(self.iterate.z).merit
         if validation.ended:

@@ -27,8 +27,9 @@ INSET = 0.05  # share of an interval's logarithm that is left out at both ends
 class GradientAgreement:
     """How well the derivatives of metrics agree with differences, at random points along each coordinate.
 
-    A long step is 0.03 of a coordinate. If a loop chatters, derivatives can be exact without predicting anything.
-    Points whose draw ended early are not compared. A disagreement has metric, number, point and slopes.
+    The "longer step" of ``predictive`` is 0.03 of a coordinate, a typical step of a search: in a loop that chatters,
+    derivatives can be exact without predicting the effect of such a step. Points whose draw ended early are not
+    compared. An entry of ``disagreeing`` has the metric, the number, the point and both slopes.
     """
 
     points: Annotated[int, Quantity("1", "random points, each with its own draw")]
@@ -61,13 +62,13 @@ class Shares(TypedDict):
 
 
 class DerivativePair(NamedTuple):
-    """Derivatives beside central differences, arrays of shape (metrics, points, tuned numbers).
+    """Derivatives and their approximations by central differences; each array is (metrics, points, tuned numbers).
 
     Args:
         exact: Derivatives.
         central: Central differences.
-        kink: Whether the differences on the two sides are not equal, so that there is no derivative.
-        agree: Whether derivative and difference agree.
+        kink: Whether forward and backward difference disagree, so that there is no derivative.
+        agree: Whether derivative and central difference agree.
     """
 
     exact: np.ndarray
@@ -77,7 +78,7 @@ class DerivativePair(NamedTuple):
 
     @property
     def shares(self) -> Shares:
-        """Share of kinks, of agreement away from kinks and in all, and whether every derivative is finite."""
+        """Share of kinks, shares of agreement away from kinks and overall, and whether every derivative is finite."""
         total = max(self.exact.size, 1)
         smooth = max(int(np.count_nonzero(~self.kink)), 1)
         return {
@@ -99,7 +100,7 @@ class DerivativePair(NamedTuple):
 def compare_derivatives(
     exact: np.ndarray, value: np.ndarray, forward: np.ndarray, backward: np.ndarray
 ) -> DerivativePair:
-    """Compare derivatives with the differences on both sides: is there a kink, and do they agree?
+    """Compare derivatives with forward and backward differences: whether there is a kink, and whether they agree.
 
     All arrays have the same shape.
 
@@ -133,7 +134,7 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     centre = logit(rng.uniform(INSET, 1.0 - INSET, (points, tuned_count)))
     draws = rng.choice(problem.train, points)
     shifts = coordinate_shifts(tuned_count)
-    z = (centre + shifts[:, None, :]).reshape(-1, tuned_count)  # all points, at one shift after the other
+    z = (centre + shifts[:, None, :]).reshape(-1, tuned_count)  # all points at the first shift, then all at the next
     lanes = {name: np.tile(column[draws], len(shifts)) for name, column in problem.laws.items()}
     lanes |= coordinates.numbers(z)
     results = problem.without_derivatives(np.tile(draws, len(shifts)), lanes)
@@ -178,7 +179,8 @@ def kink_shares(kink: np.ndarray, metrics: Sequence[str], numbers: Sequence[str]
 def coordinate_shifts(tuned_count: int) -> np.ndarray:
     """Shifts of a point at which its metrics are computed, shape (1 + 4 tuned numbers, tuned numbers).
 
-    First none, then a short step along each coordinate, backward, then a search's step along each, and backward.
+    The rows are in this order: no shift; a short step forward along each coordinate; a short step backward along each;
+    a typical step of a search forward along each; such a step backward along each.
     """
     axes = np.eye(tuned_count)
     no_shift = np.zeros((1, tuned_count))
@@ -195,7 +197,8 @@ def derivatives_by_coordinates(
     Args:
         problem: Objective and limits as functions of the search's coordinates.
         metrics: Names of the metrics.
-        derivatives: Derivatives of the metrics by the loop's numbers at the points, shape (points,) each.
+        derivatives: Derivatives of the metrics by the loop's numbers at the points, by ``Derivative(metric, number)``,
+            shape (points,) each.
         centre: Coordinates of the points, shape (points, tuned numbers).
     """
     number_slopes = problem.plan.coordinates.slopes(centre)
@@ -210,10 +213,10 @@ class Differences(NamedTuple):
     """Values of metrics at points, and their differences along the coordinates; shape (metrics, points, numbers) each.
 
     Args:
-        value: The value, the same along all coordinates.
+        value: Values at the points themselves, repeated along the coordinates.
         forward: Forward differences over a short step, per unit of the coordinate.
-        backward: Backward differences over a short step.
-        step_slope: Central differences over a typical step of a search.
+        backward: Backward differences over a short step, per unit of the coordinate.
+        step_slope: Central differences over a typical step of a search, per unit of the coordinate.
     """
 
     value: np.ndarray
@@ -230,7 +233,7 @@ def differences_of(values: np.ndarray, tuned_count: int) -> Differences:
         tuned_count: Number of tuned numbers.
     """
     metrics, _, points = values.shape
-    shifted = values[:, 1:].reshape(metrics, 4, tuned_count, points)  # 4: each step, forward and backward
+    shifted = values[:, 1:].reshape(metrics, 4, tuned_count, points)  # 4: two lengths, each forward and backward
     higher, lower, step_higher, step_lower = shifted.transpose(1, 0, 3, 2)  # shape (metrics, points, numbers) each
     value = np.broadcast_to(values[:, 0, :, None], higher.shape)
     forward = (higher - value) / DIFFERENCE_STEP
@@ -239,12 +242,12 @@ def differences_of(values: np.ndarray, tuned_count: int) -> Differences:
 
 
 def is_predictive(exact: np.ndarray, value: np.ndarray, step_slope: np.ndarray) -> np.ndarray:
-    """Whether each derivative predicts the effect of a typical step of a search; arrays of the same shape.
+    """Whether each derivative predicts the effect of a typical step of a search; all arrays have the same shape.
 
     Args:
         exact: Derivatives.
         value: Values, whose rounding limits the accuracy of the differences.
-        step_slope: Central differences over that step.
+        step_slope: Central differences over a typical step of a search.
     """
     tolerance = PREDICTION_ERROR * np.maximum(np.abs(exact), np.abs(step_slope)) + DIFFERENCE_NOISE * np.abs(value)
     return np.abs(exact - step_slope) <= tolerance
@@ -253,7 +256,7 @@ def is_predictive(exact: np.ndarray, value: np.ndarray, step_slope: np.ndarray) 
 def disagreement(
     comparison: DerivativePair, place: tuple[int, ...], metrics: Sequence[str], tuned: Mapping[str, np.ndarray]
 ) -> JsonObject:
-    """A derivative and the difference that disagrees with it, with metric, number and point, for JSON.
+    """Describe one disagreement for JSON: metric, tuned number, point, derivative and central difference.
 
     Args:
         comparison: All derivatives and differences.

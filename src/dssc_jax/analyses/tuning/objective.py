@@ -24,14 +24,17 @@ COUNTEREXAMPLES = "counterexamples"
 
 
 class Merit(NamedTuple):
-    """The objective and the excesses over the limits on some draws; empty fields if draws have no objective.
+    """The objective and the excesses over the limits on some draws.
+
+    If a draw has no objective, ``objective`` is infinite and the dictionaries are empty.
 
     Args:
         objective: The aggregate of the draws' costs.
         gradient: Derivatives of the objective by the loop's numbers; empty if they were not computed.
-        excess: Relative excess over each limit, by its name; not positive if the limit holds.
+        excess: Relative excess over each limit, by name of the limit; not positive if the limit holds. The names
+            ``requirements`` and ``counterexamples`` stand for the mean excess over requirements.
         slopes: Derivatives of each excess by the loop's numbers.
-        ended: Number of draws without an objective, such as those that ended early; all else is then empty.
+        ended: Number of draws without an objective, such as those that ended early.
     """
 
     objective: float
@@ -42,7 +45,7 @@ class Merit(NamedTuple):
 
     @property
     def violation(self) -> float:
-        """The largest excess; 0 if all limits hold, infinite if draws ended early."""
+        """The largest excess; 0 if all limits hold, infinite if some draw has no objective."""
         if self.ended:
             return float("inf")
         return max([0.0, *self.excess.values()])
@@ -51,14 +54,14 @@ class Merit(NamedTuple):
 def draw_weights(costs: np.ndarray, aggregate: str, level: float) -> np.ndarray:
     """The weight of each draw in the aggregate of the costs, shape (n,); the weights add up to 1.
 
-    The gradient of the aggregate is taken as the sum of the draws' gradients with the same weights. For ``worst`` this
-    neglects that the weights depend on the costs.
+    The same weights serve for the gradient of the aggregate, as a weighted sum of the draws' gradients. For ``worst``
+    this neglects that the weights depend on the costs.
 
     Args:
         costs: Cost of each draw, shape (n,).
-        aggregate: ``mean``; ``cvar``, the mean of the worst share 1 - level, whose last draw may count in part;
-            ``worst``, a softmax with a temperature of a tenth of the costs' standard deviation.
-        level: Level of the CVaR.
+        aggregate: ``mean``; ``cvar``, the mean over the worst share 1 - level of the draws, the last of which may count
+            in part; or ``worst``, a softmax whose temperature is a tenth of the costs' standard deviation.
+        level: Level of ``cvar``, in [0, 1).
 
     Reference:
         R. T. Rockafellar, S. Uryasev, Journal of Risk 2 (2000) 21-41.
@@ -86,7 +89,7 @@ class Goal:
         costs: Weight of each metric in the cost of a draw.
         aggregate: Name of the aggregate of the costs, see :func:`draw_weights`.
         level: Level of the aggregate ``cvar``.
-        limits: Largest mean over the draws of each limited metric.
+        limits: For each limited metric, the largest admissible mean over the draws.
         requirements: Requirements that every draw must meet.
     """
 
@@ -97,44 +100,44 @@ class Goal:
     requirements: Sequence[Requirement]
 
     def cost(self, results: Arrays) -> np.ndarray:
-        """The cost of each draw, shape (n,); NaN if it ended early."""
+        """The cost of each draw, shape (n,): the weighted sum of its metrics; NaN if one of them is missing."""
         total = np.zeros(len(results["outcome"]))
         for name, weight in self.costs.items():
             total = total + weight * results[name]
         return total
 
     def value(self, costs: np.ndarray) -> float:
-        """The aggregate of the draws' costs; infinite if one has none."""
+        """The aggregate of the draws' costs; infinite if some draw has no finite cost."""
         if not np.isfinite(costs).all():
             return float("inf")
         return float(draw_weights(costs, self.aggregate, self.level) @ costs)
 
     def excess(self, results: Arrays) -> np.ndarray:
-        """How far each draw misses its worst requirement, relative to the bound, shape (n,); 0 if it meets all."""
+        """How far each draw misses its worst requirement, relative to the bound, shape (n,); 0 if all are met."""
         return np.maximum(np.max(self._relative_excess(results), axis=0), 0.0)
 
     def _relative_excess(self, results: Arrays) -> np.ndarray:
         """How far each draw misses each requirement, relative to the bound, shape (requirements, draws).
 
-        It is negative where the requirement is met. A metric that is missing or infinite misses its bound by
-        :data:`ENDLESS`, so that all values are finite.
+        The value is negative where the requirement is met. A metric that is missing, or infinitely bad, misses its
+        bound by :data:`ENDLESS`, so that no value is NaN or inf.
         """
         relative_excess = np.array([-results[r.name] / r.scale for r in self.requirements])
         return np.where(np.isnan(relative_excess) | (relative_excess == np.inf), ENDLESS, relative_excess)
 
     def lacks_value(self, results: Arrays) -> np.ndarray:
-        """Whether each draw lacks a cost or a limited metric, shape (n,): it ended early, or has no margin."""
+        """Whether each draw lacks a cost or a limited metric, shape (n,), because it ended early or has no margin."""
         is_lacking = ended_early(results["outcome"]) | np.isnan(self.cost(results))
         for name in self.limits:
             is_lacking = is_lacking | np.isnan(results[name])
         return is_lacking
 
     def merit(self, results: Arrays, numbers: Sequence[str], counterexample_count: int = 0) -> Merit:
-        """Objective and excesses from results of draws and counterexamples, with their derivatives by some numbers.
+        """Compute objective and excesses from results of draws and counterexamples, with derivatives by some numbers.
 
         Args:
-            results: Results of the draws, then of the counterexamples.
-            numbers: The loop's numbers by which the results have derivatives; none: no derivatives.
+            results: Results of the draws, then of the counterexamples, by name.
+            numbers: The loop's numbers by which the results have derivatives; empty: no derivatives.
             counterexample_count: Number of counterexamples; they have no cost, and must meet the requirements.
         """
         count = len(results["outcome"]) - counterexample_count
@@ -162,14 +165,17 @@ class Goal:
         return Merit(objective=float(weights @ costs), gradient=gradient, excess=excess, slopes=slopes, ended=0)
 
     def _slope(self, results: Arrays, number: str) -> np.ndarray:
-        """Derivative of each draw's cost by one of the loop's numbers, shape (n,)."""
+        """Derivative of the cost of each draw by one of the loop's numbers, shape (n,)."""
         total = np.zeros(len(results["outcome"]))
         for name, weight in self.costs.items():
             total = total + weight * results[Derivative(name, number)]
         return total
 
     def _mean_excess(self, results: Arrays, numbers: Sequence[str]) -> tuple[float, dict[str, float]]:
-        """Mean over the draws of how far the worst requirement is missed, and its derivatives by some numbers."""
+        """Mean over the draws of how far each misses its worst requirement, and derivatives of this mean.
+
+        A draw that meets all requirements, or whose derivative is not finite, has the derivative 0.
+        """
         relative_excess = self._relative_excess(results)
         worst = np.argmax(relative_excess, axis=0)  # index of a requirement for each draw
         is_violated = np.max(relative_excess, axis=0) > 0.0
@@ -184,7 +190,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class MissedBound:
-    """A requirement or a limit that a point misses, in words; the excess is infinite if the metric is."""
+    """A requirement or a limit that a point misses, in words; the excess is infinite if the metric is infinite."""
 
     text: Annotated[str, Quantity("", "the bound")]
     draws: Annotated[int | None, Quantity("1", "draws that miss it; None of a bound of the mean")]
@@ -193,7 +199,9 @@ class MissedBound:
 
 
 def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tuple[MissedBound, ...]:
-    """The requirements that some draws miss, and the limits that the mean over the draws misses, in the study's order.
+    """List the requirements that some draws miss, then the limits that the mean over the draws misses.
+
+    If draws end early, the first entry says so; these draws are left out of the other entries.
 
     Args:
         goal: Requirements and limits.
@@ -217,7 +225,7 @@ def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tupl
 
 
 def missed_requirement(requirement: Requirement, slacks: np.ndarray) -> MissedBound:
-    """How far the worst of some draws misses a requirement, in the unit in which the requirement is shown.
+    """Say by how much the worst of some draws misses a requirement, in the unit in which the requirement is shown.
 
     Args:
         requirement: The requirement.
@@ -232,7 +240,7 @@ def missed_requirement(requirement: Requirement, slacks: np.ndarray) -> MissedBo
     return MissedBound(text=requirement.short_text, draws=len(slacks), excess=abs(shown_value - shown_bound), unit=unit)
 
 
-RESAMPLES = 2000  # of the bootstrap
+RESAMPLES = 2000  # resamples of the bootstrap
 JUDGED_LANES = 4096  # most draws of the verdict that are simulated at once
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -242,9 +250,9 @@ Triple = tuple[float, float, float]
 class Verdict:
     """Comparison of the result of a tuning with its start, on the same fresh draws. Pairs are (start, result).
 
-    ``objective`` is infinite, and ``reduction_interval`` NaN, if a draw ended early. ``quantile`` has exact
-    order-statistic intervals at the level of the aggregate, and ``intervals`` are exact (Clopper-Pearson). Differences
-    are result minus start, draw by draw.
+    If a draw ended early, ``objective`` is infinite and ``reduction_interval`` is NaN. ``quantile`` has exact
+    order-statistic intervals of the cost's quantile at the level of ``cvar``, or of the median for other aggregates.
+    ``intervals`` are exact, too (Clopper-Pearson). Differences are result minus start, draw by draw.
     """
 
     draws: Annotated[int, Quantity("1", "number of fresh draws")]
@@ -265,7 +273,7 @@ class Verdict:
 
     @property
     def within(self) -> bool:
-        """Whether every limit holds on these draws for the result."""
+        """Whether the result keeps every limit on these draws."""
         return all(result_mean <= bound for bound, _, result_mean in self.limits.values())
 
 
@@ -290,7 +298,7 @@ def judge_tuning(
     laws = evaluator.values_of_draws(slice(0, draws))
 
     def simulate(numbers: Mapping[str, float]) -> Arrays:
-        """Results of all draws with some numbers of the loop."""
+        """Simulate all draws with the given numbers of the loop, and return the results by name."""
         columns = {name: np.full(draws, value) for name, value in numbers.items()}
         return evaluator(np.arange(draws), laws | columns)
 
@@ -313,7 +321,7 @@ def compare_results(plan: Plan, goal: Goal, start_results: Arrays, results: Arra
     costs = goal.cost(results)
     start_objective = goal.value(start_costs)
     objective = goal.value(costs)
-    level = goal.level if goal.aggregate == "cvar" else 0.5  # of the quantile whose intervals are given
+    level = goal.level if goal.aggregate == "cvar" else 0.5  # level of the quantile whose intervals are given
     cost_difference = compare_metrics(costs, start_costs)
     start_failed = np.asarray(start_results["outcome"] != Outcome.OK)
     failed = np.asarray(results["outcome"] != Outcome.OK)
@@ -346,7 +354,7 @@ def compare_results(plan: Plan, goal: Goal, start_results: Arrays, results: Arra
 
 
 def failure_interval(failures: int, draws: int) -> Pair:
-    """Exact (Clopper-Pearson) interval of a failure probability, from the failures among some draws."""
+    """Exact (Clopper-Pearson) interval of a failure probability, from the number of failures among the draws."""
     low, high = clopper_pearson(failures, draws).tolist()
     return low, high
 
@@ -363,7 +371,7 @@ def reduction_interval(goal: Goal, start: np.ndarray, tuned: np.ndarray) -> Pair
         return float("nan"), float("nan")
 
     def reduction(start_costs: np.ndarray, tuned_costs: np.ndarray) -> float:
-        """1 - result/start of resampled draws."""
+        """The reduction 1 - result/start of the aggregate, for costs of resampled draws."""
         return 1.0 - goal.value(tuned_costs) / goal.value(start_costs)
 
     interval = bootstrap(

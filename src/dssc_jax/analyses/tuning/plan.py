@@ -24,10 +24,11 @@ NumbersKey: TypeAlias = tuple[tuple[str, float], ...]
 
 
 class ProvedAim(NamedTuple):
-    """The proved number of one loop, which a tuning with ``aim`` optimises.
+    """The proved number of one loop; a tuning that sets ``aim`` optimises this number.
 
     Args:
-        value: Bound of |e| once settled, or the last value at which the loop is proved; None without a proof.
+        value: Proved bound of |e| once settled, or the last value of another number at which the loop is proved; None
+            without a proof.
         proof: The proof of that value; None without one.
         reason: Why there is no proof; empty otherwise.
     """
@@ -43,7 +44,7 @@ class Plan:
 
     Args:
         study: The study without its sweep.
-        table: Its ``[tune]``.
+        table: The table ``[tune]`` of the study.
         coordinates: The tuned numbers with their bounds, mapped to unbounded search variables.
         theorem: Certifies every point; None if no certificate is required.
         seed: Seed of the training and validation draws; the final verdict uses the study's own draws.
@@ -62,14 +63,14 @@ class Plan:
         """Create the plan of a study.
 
         Raises:
-            ConfigError: Dotted path, rule and value of the first error.
+            ConfigError: The settings break a rule; the message has dotted path, rule and value of the first error.
         """
         with errors_in_file(study.source):
             return cls._of(study.without_sweep())
 
     @classmethod
     def _of(cls, study: Study) -> "Plan":
-        """Create the plan of a study without a sweep, with errors that do not name the study's file."""
+        """Create the plan of a study without a sweep; :meth:`of` adds the name of the study's file to errors."""
         table = tune_table(study)
         varied = dict(table.parameters)
         starts = {name: start_value(study, name, extent) for name, extent in table.parameters.items()}
@@ -89,12 +90,15 @@ class Plan:
 
     @property
     def measures(self) -> dict[str, Measure]:
-        """The metrics that objective and limits need, by name."""
+        """The metrics that the objective and the limits name, by name."""
         by_name = {measure.name: measure for measure in self.study.measures}
         return {name: by_name[name] for name in (*self.table.objective, *self.table.limits)}
 
     def proof_at(self, numbers: Mapping[str, float]) -> "AnyProved":
-        """Prove the study with other numbers, or return the proof that an earlier call found for them."""
+        """Prove the study with other numbers of the loop, or return the proof that an earlier call found for them.
+
+        The proof may be incomplete; then it has the reason.
+        """
         from dssc_jax.proofs.prove import prove
 
         key = tuple(numbers.items())
@@ -108,7 +112,10 @@ class Plan:
         return self.table.aim != OBJECTIVE
 
     def aim_at(self, numbers: Mapping[str, float]) -> ProvedAim:
-        """Compute the proved number that is optimised, for the study with other numbers; once for each set of them."""
+        """Compute the proved number that is optimised, for the study with other numbers of the loop.
+
+        For a set of numbers that an earlier call had, its result is returned again.
+        """
         if self.table.aim == PROVED_ERROR:
             proof = self.proof_at(numbers)
             if proof.complete:
@@ -125,7 +132,10 @@ class Plan:
         return self._aims[key]
 
     def proof_of_result(self, numbers: Mapping[str, float]) -> "AnyProved | None":
-        """The proof to store with the result: of the proved number, or of the loop; None if none is required."""
+        """The proof to store with a result that has these numbers of the loop.
+
+        It proves the number that was optimised, or else the loop; None if neither is required.
+        """
         if self.optimises_proof:
             return self.aim_at(numbers).proof
         return self.proof_at(numbers) if self.table.proved else None
@@ -153,12 +163,12 @@ class Plan:
         )
 
     def smoothed(self) -> Study:
-        """The study used for derivatives: :meth:`trial`, with the first width of the sign if it is to be smoothed."""
+        """The study used for derivatives: :meth:`trial`, with the first width of the sign if ``smoothing`` is set."""
         width = self.table.smoothing
         return self.trial() if width is None else self.trial().override({WIDTH: width})
 
     def _written_name(self, measure: Measure) -> str:
-        """A metric's name as the study writes it; a user's own metric is written with its module, before a colon."""
+        """A metric's name as ``metrics.names`` has it: with a user's own metric, the module and a colon come first."""
         for name in self.study.config.metrics.names or ():
             if name.rpartition(":")[2] == measure.kind:
                 return name

@@ -40,12 +40,14 @@ class StartPoints(NamedTuple):
 
     @property
     def scale(self) -> float:
-        """Size of the start's objective, relative to which a search takes objectives; 1 in place of 0."""
+        """Absolute value of the start's objective, by which a search divides all objectives; 1 in place of 0."""
         return abs(self.train.merit.objective) or 1.0
 
 
 class TheoremSlacks:
-    """Excesses of Theorem 1's inequalities over a required slack, as a compiled function of the search's coordinates.
+    """By how much each inequality of Theorem 1 misses a required slack, as a function of the search's coordinates.
+
+    The function is compiled, with its derivatives.
 
     Args:
         plan: A plan that requires a slack.
@@ -69,9 +71,9 @@ class TheoremSlacks:
         self._excess_and_slopes = jax.jit(excess_and_slopes)
 
     def at(self, z: np.ndarray) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """The excess of each inequality at coordinates of shape (n,), and its derivatives by them, shape (n,) each.
+        """The excess of each inequality at coordinates of shape (n,), and its derivatives by these, shape (n,) each.
 
-        A slope that is not a number, as at the end of a range, is taken as 0.
+        A derivative that is NaN, as at the end of a range, is replaced by 0.
         """
         with jax.enable_x64(True):
             traced_excess, traced_slopes = self._excess_and_slopes(jnp.asarray(z))
@@ -123,13 +125,16 @@ class Problem:
             costs=table.objective,
             aggregate=table.aggregate,
             level=table.level,
-            limits={},  # those of some draws: see goal_on
+            limits={},  # goal_on sets the limits for the draws in use
             requirements=self.evaluator.swept.requirements,
         )
 
     @property
     def counterexample_draws(self) -> np.ndarray:
-        """Draw index of each counterexample, shape (counterexamples,); 0, since they were found with draw 0's noise."""
+        """Draw index of each counterexample, shape (counterexamples,).
+
+        All indices are 0, since the counterexamples were found with the in-loop noise of draw 0.
+        """
         if not self.counterexamples:
             return np.zeros(0, dtype=int)
         first_column = next(iter(self.counterexamples.values()))
@@ -141,7 +146,10 @@ class Problem:
         return not native_code(self.plain.swept)
 
     def begin(self) -> StartPoints:
-        """Evaluate the start on the training and on the validation draws; store its metrics for limits ``start``."""
+        """Evaluate the start on the training and on the validation draws.
+
+        The limited metrics of the start are stored, as bounds for limits that are ``start``.
+        """
         origin = self.plan.coordinates.origin
         draws = np.concatenate([self.train, self.validation])
         results = self.results(origin[None], draws, self.plain)
@@ -151,7 +159,7 @@ class Problem:
         return StartPoints(train, self.evaluate(origin))
 
     def goal_on(self, draws: np.ndarray) -> Goal:
-        """The goal for some of the draws; where a limit is ``start``, its bound is the start's mean on the same draws.
+        """The goal for some of the draws; a limit that is ``start`` becomes the start's mean on the same draws.
 
         Args:
             draws: Indices of the draws.
@@ -193,14 +201,17 @@ class Problem:
         return self.evaluator(indices, lanes | self._width(indices))
 
     def without_derivatives(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
-        """Simulate lanes at the same width of the sign, without derivatives; see :meth:`with_derivatives`."""
+        """Simulate lanes at the present width of the sign, without derivatives.
+
+        For the arguments see :meth:`with_derivatives`.
+        """
         if self.width is None:
             return self.plain(indices, lanes)
         evaluator = Evaluator(self.plan.smoothed(), self.evaluator.extents, self.evaluator.lanes)
         return evaluator(indices, lanes | self._width(indices))
 
     def _width(self, indices: np.ndarray) -> Arrays:
-        """The width of the smoothed sign as a number of each lane, shape (lanes,); empty if it is not smoothed."""
+        """The present width of the smoothed sign for each lane, shape (lanes,), by name; empty without smoothing."""
         return {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
 
     def evaluate(self, z: np.ndarray, draws: np.ndarray | None = None) -> EvaluatedPoint:
@@ -231,7 +242,7 @@ class Problem:
         number_slopes = {name: column[0] for name, column in self.plan.coordinates.slopes(z[None]).items()}
 
         def by_coordinates(by_number: dict[str, float]) -> np.ndarray:
-            """Derivatives by the coordinates from those by the loop's numbers, by the chain rule; shape (n,)."""
+            """Convert derivatives by the loop's numbers to derivatives by the coordinates, shape (n,): chain rule."""
             return np.sum([slope * number_slopes[name] for name, slope in by_number.items()], axis=0)
 
         slopes = {name: by_coordinates(by_number) for name, by_number in merit.slopes.items()}
@@ -242,7 +253,10 @@ class Problem:
         return EvaluatedPoint(z, merit, by_coordinates(merit.gradient), slopes)
 
     def is_admissible(self, z: np.ndarray) -> bool:
-        """Whether a point of shape (n,) is certified by Theorem 1 and proved, as far as the plan requires either."""
+        """Whether a point of shape (n,) has what the plan requires of a certificate of Theorem 1 and of a proof.
+
+        Certified and proved points are counted.
+        """
         numbers = self.plan.numbers_at(z)
         if self.plan.theorem is not None:
             if not self.plan.theorem.certificate(numbers).certified:
@@ -315,12 +329,15 @@ class SearchRecord:
 
 
 def headroom(limit: str) -> float:
-    """The relative distance that a search keeps from a limit; 0 from Theorem 1's, which do not depend on draws."""
+    """The relative distance that a search keeps from a limit.
+
+    It is 0 for the inequalities of Theorem 1, which do not depend on draws.
+    """
     return 0.0 if limit.startswith(SLACK) else HEADROOM
 
 
 def rank(point: EvaluatedPoint, score: float | None) -> tuple[float, float]:
-    """Rank of a point among others, the smallest is the best: by its violation, then by its score.
+    """Rank of a point, a pair (violation, score); the point with the smallest pair is the best.
 
     Args:
         point: The point, evaluated on the validation draws.

@@ -52,7 +52,7 @@ PROOF_FILE = "proof.json"
 class Counterexample:
     """The worst draw that a search found against a tuned loop, after one round of a robust tuning.
 
-    In JSON the fields of ``worst`` stand among its own.
+    In JSON the fields of ``worst`` are merged into this object.
     """
 
     worst: PointAnswer = field(metadata={MERGED: True})
@@ -61,7 +61,7 @@ class Counterexample:
 
 @dataclass(frozen=True)
 class SearchFacts:
-    """How the search for the tuned numbers went: its method and its end, and what its result meets and misses.
+    """Facts about the search for the tuned numbers: its method, how it ended, and what its result meets and misses.
 
     ``missed`` has the bounds that the result misses, ``aimed`` the proved number if it was optimised, and
     ``counterexamples`` the worst draw after each round.
@@ -94,7 +94,7 @@ class ObjectiveAnswer:
 class VerdictAnswer:
     """The comparison of result and start on fresh draws, with its confidence.
 
-    In JSON the fields of ``verdict`` stand among its own.
+    In JSON the fields of ``verdict`` are merged into this object.
     """
 
     verdict: Verdict = field(metadata={MERGED: True})
@@ -106,7 +106,7 @@ class VerdictAnswer:
 class GradientAnswer:
     """The comparison of derivatives with differences, with its result in words.
 
-    In JSON the fields of ``agreement`` stand among its own.
+    In JSON the fields of ``agreement`` are merged into this object.
     """
 
     agreement: GradientAgreement = field(metadata={MERGED: True})
@@ -115,7 +115,7 @@ class GradientAnswer:
 
 @dataclass(frozen=True)
 class TuningDraws:
-    """How many draws the search used, and the seed they come from."""
+    """The numbers of draws that the search used, and the seed of these draws."""
 
     train: Annotated[int, Quantity("1", "training draws")]
     validation: Annotated[int, Quantity("1", "validation draws")]
@@ -124,9 +124,10 @@ class TuningDraws:
 
 @dataclass(frozen=True)
 class TunedAnswer:
-    """The tuned numbers, and how they do on fresh draws.
+    """The tuned numbers, their comparison with the start on fresh draws, and how they were found.
 
-    ``gradients`` is None if the method needs no derivatives. In JSON the fields of ``search`` stand among its own.
+    ``gradients`` is None if the method needs no derivatives. In JSON the fields of ``search`` are merged into this
+    object.
     """
 
     objective: ObjectiveAnswer
@@ -192,7 +193,7 @@ class Tuned(Analysis):
     def proved_loop(self) -> dict[str, Any]:
         """The loop that the result's certificate has to prove, in the form of a certificate's file.
 
-        If the last proved value of a number was optimised, it is the loop with this value.
+        If the last value of a number at which the loop is proved was optimised, this is the loop with that value.
         """
         from dssc_jax.proofs.coverage import problem_of
         from dssc_jax.proofs.reach import problem_at
@@ -232,7 +233,7 @@ class Tuned(Analysis):
 
     @property
     def answer(self) -> TunedAnswer:
-        """The tuned numbers, and how they do on fresh draws, as ``summary.json`` has them."""
+        """The tuned numbers, and their comparison with the start on fresh draws, as ``summary.json`` has them."""
         table = tuned_table(self.study)
         gradients = None if self.gradients is None else GradientAnswer(self.gradients, self.gradients.text)
         return TunedAnswer(
@@ -285,7 +286,7 @@ def tuning_dataset(study: Study, history: Sequence[Mapping[str, Any]], costs: Ma
 
 
 def history_quantities(study: Study) -> dict[str, Quantity]:
-    """Unit and meaning of every column that a history may have: those of the search, and the tuned numbers."""
+    """Unit and meaning, by name, of all columns that a history may have: of the search, and the tuned numbers."""
     quantities = {name: Quantity("1", text) for name, text in HISTORY.items()} | study.quantities
     aim = tuned_table(study).aim
     if aim != OBJECTIVE:
@@ -300,13 +301,13 @@ def aim_quantity(study: Study) -> Quantity:
     table = tuned_table(study)
     if table.aim == PROVED_ERROR:
         return Quantity(study.units[0].output, f"proved bound of {claim_of_study(study).error} once settled")
-    name = next(iter(table.over))  # its only one
+    name = next(iter(table.over))  # the rules of [tune] require exactly one
     unit = study.quantities[name].unit if name in study.quantities else "1"
     return Quantity(unit, f"last proved {name}")
 
 
 def tuned_table(study: Study) -> TuneTable:
-    """The ``[tune]`` of a study that has been tuned, and therefore has this table."""
+    """The table ``[tune]`` of a study that was tuned, which therefore has one."""
     table = study.config.tune
     assert table is not None
     return table

@@ -14,16 +14,16 @@ DESCENTS = ("adam", "adabelief", "amsgrad", "lion", "nadam", "rmsprop", "sgd")  
 EVOLUTION = "differential_evolution"  # in scipy.optimize
 PROGRAMMING = "sqp"  # SLSQP, in scipy.optimize
 SIMPLEX = "nelder_mead"  # in scipy.optimize; for proved numbers only
-OBJECTIVE = "objective"  # an aim
-PROVED_ERROR = "proved_error"  # an aim
+OBJECTIVE = "objective"  # a value of tune.aim
+PROVED_ERROR = "proved_error"  # a value of tune.aim
 OPTIMISERS = (*DESCENTS, PROGRAMMING, EVOLUTION)
 WIDTH = "controller.sign_width"
-ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbers the theorem's bounds are made of
-UNKNOWN_WORDS = ("unknown", "nowhere")  # in the rules of errors about names that a study does not have
+ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop on whose numbers the theorem's bounds depend
+UNKNOWN_WORDS = ("unknown", "nowhere")  # words in the messages of errors about names that a study does not have
 
 
 def tune_table(study: Study) -> TuneTable:
-    """The ``[tune]`` of a study, after all of its rules are checked.
+    """The table ``[tune]`` of a study, after a check of all rules for it.
 
     Raises:
         ConfigError: The table is missing, or breaks a rule.
@@ -65,7 +65,9 @@ def require_optimiser(table: TuneTable) -> None:
 
 
 def require_theorem_settings(table: TuneTable) -> None:
-    """Require settings of Theorem 1 that agree: ``slack`` only without ``certified = true``, ``free`` only with it.
+    """Require settings of Theorem 1 that do not contradict each other.
+
+    ``slack`` is allowed only without ``certified = true``, and ``free`` only with it.
 
     Raises:
         ConfigError: Two settings contradict each other.
@@ -78,7 +80,7 @@ def require_theorem_settings(table: TuneTable) -> None:
 
 
 def example(study: Study) -> str:
-    """An example of ``[tune]`` for the message about a missing one: a first positive gain, and a first metric."""
+    """An example of a table ``[tune]`` for the error message, with the study's first positive gain and first metric."""
     range_of_gain = ""  # the controller has no positive gain
     for name, value in study.leaves().items():
         if not name.startswith("controller.") or not is_free(study, name):
@@ -91,12 +93,12 @@ def example(study: Study) -> str:
 
 
 def is_free(study: Study, name: str) -> bool:
-    """Whether a number may have a law and no expression determines it."""
+    """Whether a number may have a law, and is not determined by an expression."""
     return study.quantities[name].law and study.numbers[name].expression is None
 
 
 def require_aim(study: Study, table: TuneTable) -> None:
-    """Require settings with which ``aim`` can be optimised: for a proved number, a loop that a proof covers.
+    """Require settings with which ``aim`` can be optimised; a proved number also needs a loop that a proof covers.
 
     Raises:
         ConfigError: No proof covers the loop, or settings contradict each other.
@@ -128,7 +130,7 @@ def require_provable(study: Study, place: str = "tune.proved", at: tuple[str, fl
     Args:
         study: The study.
         place: The setting that asks for proofs, for the message.
-        at: Name and value of a number with which the loop is to be proved; None: as the study states it.
+        at: Name and value of a number to change before the loop is proved; None: the loop as the study states it.
 
     Raises:
         ConfigError: No proof covers the loop, or a package is missing.
@@ -149,14 +151,14 @@ def require_provable(study: Study, place: str = "tune.proved", at: tuple[str, fl
 
 
 def seed_of(study: Study, table: TuneTable) -> int:
-    """The seed of the training and validation draws: as ``[tune]`` states it, else the one after the study's own."""
+    """The seed of the training and validation draws: that of ``[tune]``, or by default the study's own seed plus 1."""
     if table.seed is not None:
         return table.seed
     return (study.config.seed + 1) % 2**32
 
 
 def require_metrics(study: Study, table: TuneTable) -> None:
-    """Require an objective, and metrics of objective and limits that the study computes.
+    """Require an objective, and require that the study computes all metrics of objective and limits.
 
     Raises:
         ConfigError: The study does not compute a metric, or all weights of the objective are 0.
@@ -195,7 +197,7 @@ def require_compatible_bounds(study: Study, table: TuneTable) -> None:
 
 
 def require_smoothable_sign(study: Study) -> None:
-    """Require controllers with a sign function that ``smoothing`` can smooth, and that the study does not smooth.
+    """Require controllers whose sign function ``smoothing`` can smooth, and a study that does not smooth it already.
 
     Raises:
         ConfigError: A controller has no such function, or the study states ``sign_width``.
@@ -215,8 +217,8 @@ def require_tunable(study: Study, name: str, table: TuneTable) -> None:
         table: The study's ``[tune]``.
 
     Raises:
-        ConfigError: The name is not that of a number; or the number is uncertain, follows from others, is fixed before
-            tracing or by the theorem, or moves a bound that a required slack or a certified design keeps.
+        ConfigError: The name is not that of a number; or the number is uncertain, follows from other numbers, is fixed
+            before tracing, is fixed by a certified design, or changes the bounds of a theorem that is required.
     """
     place = f"tune.parameters.{name}"
     if table.certified and name in PARAMETER_OF_NUMBER:
@@ -242,7 +244,7 @@ def require_fixed_bounds(study: Study, name: str) -> None:
         name: Dotted name of the number.
 
     Raises:
-        ConfigError: The bounds follow from the number, or a gain of Table 1 does.
+        ConfigError: The bounds follow from the number, or another gain of Table 1 follows from it.
     """
     place = f"tune.parameters.{name}"
     for follower in study.followers(name):
@@ -256,7 +258,7 @@ def require_fixed_bounds(study: Study, name: str) -> None:
 
 
 def reason_unfit(study: Study, name: str) -> str:
-    """Why a dotted name that is no number of the loop cannot be tuned, as the predicate of a sentence."""
+    """Say why a dotted name that is no number of the loop cannot be tuned: the predicate of the error message."""
     entry: object = study.table
     for part in name.split("."):
         entry = entry.get(part) if isinstance(entry, Mapping) else None
@@ -272,7 +274,7 @@ def reason_unfit(study: Study, name: str) -> str:
 
 
 def start_value(study: Study, name: str, extent: tuple[float, float]) -> float:
-    """The value of a number in the study, with which a search for it starts.
+    """The value of a number in the study, at which the search starts.
 
     Args:
         study: The study.
@@ -280,7 +282,7 @@ def start_value(study: Study, name: str, extent: tuple[float, float]) -> float:
         extent: Lowest and highest value of the search.
 
     Raises:
-        ConfigError: The value is outside this interval, or an end of the interval is not admissible.
+        ConfigError: The value is not inside the range of the search, or an end of this range is not admissible.
     """
     low, high = extent
     value = study.leaves()[name]

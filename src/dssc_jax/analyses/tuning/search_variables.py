@@ -23,7 +23,7 @@ Numbers: TypeAlias = Mapping[str, Scalar]
 
 
 def identity(tuned: Numbers) -> Numbers:
-    """Return the tuned numbers as the loop's numbers: the ``expand`` of a search without a design."""
+    """Return the tuned numbers unchanged as the loop's numbers: the ``expand`` of a search without a design."""
     return dict(tuned)
 
 
@@ -31,13 +31,13 @@ def identity(tuned: Numbers) -> Numbers:
 class SearchCoordinates:
     """The map between tuned numbers in intervals and unbounded coordinates z of a search.
 
-    A number is low (high/low)^s(z) with s(z) = 1/(1 + e^-z): close to ``low`` for very negative z, to ``high`` for
-    large z.
+    A tuned number is low (high/low)^s(z) with s(z) = 1/(1 + e^-z). It tends to ``low`` as z tends to minus infinity,
+    and to ``high`` as z tends to infinity.
 
     Args:
         extents: Lowest and highest value of each tuned number, 0 < low < high.
         start: Values at the start of the search, inside the intervals.
-        expand: (tuned numbers) -> the loop's numbers, by dotted name.
+        expand: (tuned numbers) -> the loop's numbers that follow from them, by dotted name.
     """
 
     extents: dict[str, tuple[float, float]]
@@ -46,7 +46,7 @@ class SearchCoordinates:
 
     @property
     def names(self) -> list[str]:
-        """The tuned numbers, in the order of the coordinates."""
+        """Names of the tuned numbers, in the order of the coordinates."""
         return list(self.extents)
 
     @property
@@ -63,7 +63,7 @@ class SearchCoordinates:
         return logit((start - low) / (high - low))
 
     def tuned(self, z: np.ndarray) -> dict[str, np.ndarray]:
-        """The tuned numbers at coordinates of shape (..., n), each of shape (...)."""
+        """The tuned numbers at coordinates of shape (..., n), by name, shape (...) each."""
         low, high = self.ends
         values = np.exp(low + (high - low) * expit(z))
         return {name: values[..., i] for i, name in enumerate(self.names)}
@@ -108,7 +108,7 @@ REQUIRED_PARAMETERS = tuple(name for name in Free._fields if name not in Free._f
 
 
 def name_in_study(name: str) -> str:
-    """The dotted name in a study of a parameter of Table 1: ``eps`` is ``controller.functions.epsilon``."""
+    """The dotted name in a study of a parameter of Table 1; that of ``eps`` is ``controller.functions.epsilon``."""
     if name == "l0":
         return "controller.l0"
     return f"controller.functions.{'epsilon' if name == 'eps' else name}"
@@ -156,7 +156,7 @@ class Theorem:
         self.ends = ends_of(self.study)
 
     def free_parameters(self, tuned: Numbers) -> Free:
-        """The free parameters of Theorem 1: values among the tuned numbers, else fixed values, else defaults."""
+        """The free parameters of Theorem 1: each has its tuned value, or else its fixed value, or else its default."""
         values: dict[str, Scalar] = dict(self.fixed)
         for name, value in tuned.items():
             if name.startswith(FREE_PREFIX):
@@ -176,7 +176,8 @@ class Theorem:
         """Parameters of Table 1 and bounds of the loop, with some of the loop's numbers changed.
 
         Args:
-            numbers: The numbers by dotted name; the others are the study's. Only parameters of Table 1 are taken.
+            numbers: The changed numbers by dotted name; all others are the study's. Numbers that are no parameters of
+                Table 1 are ignored.
         """
         changes = {}
         for loop_name, name in PARAMETER_OF_NUMBER.items():
@@ -186,20 +187,20 @@ class Theorem:
         return parameters, loop_bounds.bounds_of(self.study.loop, self.ends, parameters)
 
     def certificate(self, numbers: Mapping[str, float]) -> Certificate:
-        """Check the inequalities of Theorem 1 for the loop with some of its numbers changed, without any tolerance."""
+        """Check the inequalities of Theorem 1, without tolerance, for the loop with some of its numbers changed."""
         plain_numbers = {name: float(value) for name, value in numbers.items()}
         parameters, bounds = self.parameters_and_bounds(plain_numbers)
         return check(parameters, bounds)
 
     def excess(self, numbers: Numbers, slack: float) -> dict[str, jax.Array]:
-        """How far each strict inequality ``value > bound`` misses ``value >= (1 + slack) bound``, relative to both.
+        """How far each inequality ``value > bound`` misses ``value >= (1 + slack) bound``, over |value| + |bound|.
 
         Args:
             numbers: The loop's numbers, traced.
             slack: The relative slack.
 
         Returns:
-            The excess of each inequality by name: not positive if the slack is kept, 1 if the bound is not finite.
+            The excess of each inequality by name: not positive if the slack is kept; 1 if the bound is not finite.
         """
         parameters, bounds = self.parameters_and_bounds(numbers)
         rows = [(row.name, row.value, row.bound) for row in inequalities(parameters, bounds)]
@@ -222,7 +223,9 @@ def split_parameters(
         free: [low, high] of each varied parameter, and the value of each fixed one, by name.
 
     Returns:
-        The interval of each varied one, by its name with :data:`FREE_PREFIX`, and the value of each fixed one.
+        The interval of each varied parameter, by its name with :data:`FREE_PREFIX` before it, and the value of each
+        fixed parameter, by its name.
+
     Raises:
         ConfigError: A parameter is missing or unknown, or none is varied.
     """

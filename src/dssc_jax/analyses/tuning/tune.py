@@ -43,10 +43,10 @@ def tune(
 
     Args:
         study: The study, or its file; its own sweep is ignored, and its own draws are kept for the verdict.
-        robust: Also search for the worst case of the result, add it to the requirements, and tune again, until no
-            failure is found.
-        rounds: Largest number of repetitions.
-        budget: Simulations of each search for the worst case.
+        robust: Also search for the worst draw of the result. If it fails, require that this draw pass, too, and tune
+            again, until no failing draw is found.
+        rounds: Largest number of searches for the worst draw.
+        budget: Number of simulations of each search for the worst draw.
         progress: Called with the steps done.
 
     Raises:
@@ -90,7 +90,7 @@ def tune(
         counterexamples=solution.counterexamples,
         seconds=time.perf_counter() - began,
     )
-    values = plan.coordinates.tuned(best.z)  # by NumPy; where the loop has such a number, its digits are JAX's
+    values = plan.coordinates.tuned(best.z)  # by NumPy; numbers of the loop, by JAX, may differ in the last digit
     tuned = Tuned(
         study=plan.study,
         dataset=tuning_dataset(plan.study, solution.record.history, costs),
@@ -126,9 +126,10 @@ class Solution(NamedTuple):
 
 
 def solve_rounds(plan: Plan, rounds: int, budget: int, progress: ProgressCallback | None) -> Solution:
-    """Search for the best point, then for its worst draw; require that draw, too, and search again.
+    """Alternate between a search for the best point and a search for the worst draw of this point.
 
-    The rounds end when no failure is found, or after ``rounds`` searches for the worst draw.
+    If the worst draw fails, the next search for the best point requires that it pass, too. The rounds end when the
+    worst draw found does not fail, or after ``rounds`` searches for it.
 
     Args:
         plan: The plan.
@@ -157,7 +158,7 @@ def solve_rounds(plan: Plan, rounds: int, budget: int, progress: ProgressCallbac
 
 
 def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[SearchRecord, GradientAgreement | None]:
-    """Run one search, by gradients if the study names such a method and derivatives prove useful.
+    """Run one search; it uses gradients if the study names such a method and a check finds the derivatives useful.
 
     Args:
         problem: Objective and limits as functions of the search's coordinates.
@@ -167,7 +168,7 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[SearchRe
         The search, and the comparison of derivatives with differences; None if the method needs no derivatives.
 
     Raises:
-        ConfigError: Draws end early at the start, so that there is no objective to descend on.
+        ConfigError: Draws end early at the start, so that the start has no objective.
     """
     first = problem.begin()
     for point, name in zip(first, ("training", "validation"), strict=True):
@@ -183,7 +184,7 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[SearchRe
 
 
 def missed_on_validation(problem: Problem, point: EvaluatedPoint) -> tuple[MissedBound, ...]:
-    """The requirements and limits that a point misses on the validation draws."""
+    """The requirements and limits that a point misses on the validation draws; counterexamples are left out."""
     goal = problem.goal_on(problem.validation)
     results = problem.results(point.z[None], problem.validation, problem.plain)
     draw_results = {name: column[: len(problem.validation)] for name, column in results.items()}
@@ -210,9 +211,10 @@ def run_search(
 
 
 def search_method(plan: Plan, differentiable: bool) -> str:
-    """The name of the search method: the optimiser of ``[tune]`` if derivatives can be used.
+    """The name of the search method.
 
-    Otherwise it is differential evolution, and the simplex for a proved number.
+    A proved number is optimised by the simplex. Otherwise the method is the optimiser of ``[tune]`` if derivatives can
+    be used, and differential evolution if not.
 
     Args:
         plan: The plan.
@@ -224,17 +226,21 @@ def search_method(plan: Plan, differentiable: bool) -> str:
 
 
 def are_useful(gradients: GradientAgreement) -> bool:
-    """Whether derivatives can be used for descent: enough agree with differences, and enough predict a longer step."""
+    """Whether derivatives can be used for descent.
+
+    A share of at least :data:`USEFUL` has to agree with differences, and such a share to predict a longer step.
+    """
     return min(gradients.useful, gradients.predictive) >= USEFUL
 
 
 def verify_certificate(certificate: JsonObject) -> JsonObject:
-    """Verify a certificate from its content as the file will have it, and return that content.
+    """Verify a certificate, and return its content as the file will have it.
 
-    This check is independent of the search that found the certificate.
+    The content is converted to JSON and back before the check, which is independent of the search that found the
+    certificate.
 
     Raises:
-        RuntimeError: The verifier refuses it.
+        RuntimeError: The verifier refuses the certificate.
     """
     from dssc_jax.proofs.prove import check_certificate
 
@@ -246,7 +252,7 @@ def verify_certificate(certificate: JsonObject) -> JsonObject:
 
 
 def require_certified(plan: Plan) -> None:
-    """Require that Theorem 1 certifies the start, with the slack that ``[tune]`` requires.
+    """Require that Theorem 1 certifies the start, with the slack that ``[tune]`` requires, if it requires one.
 
     Raises:
         ConfigError: The start is not certified, or has less slack.
@@ -290,7 +296,7 @@ def infeasible_start(plan: Plan, place: str, missing: str, reason: str) -> Confi
     Args:
         plan: The plan.
         place: The setting that needs the proof.
-        missing: What is missing, as a clause.
+        missing: What is missing, as a clause of the message, such as "it is not proved".
         reason: Why there is no proof.
     """
     return ConfigError(plan.study.source, f"{place}: the start is infeasible: {missing}: {reason}")

@@ -17,14 +17,14 @@ GROWTHS = (MOST_GROWTH, 3.0, 2.5, 2.0, 1.75, 1.5, 1.25, 1.1, 1.0)
 
 
 class Side(NamedTuple):
-    """The range of one uncertain number: a side of the box, with a coordinate u from -1 at its low end to 1.
+    """The range of one uncertain number: a side of the box, with a coordinate u from -1 (low end) to 1 (high end).
 
     Args:
         name: Dotted name of the number in the study.
         low: Lower end of the range.
         high: Upper end of the range.
         logarithmic: Whether the coordinate is linear in the logarithm of the number.
-        cut: Whether the number's law has no ends, so that ``sigma`` sets those of the range (:func:`box_of`).
+        cut: Whether the law of the number has no ends, so that ``sigma`` determines the range (:func:`cut_ends`).
     """
 
     name: str
@@ -34,7 +34,7 @@ class Side(NamedTuple):
     cut: bool
 
     def at(self, u: np.ndarray) -> np.ndarray:
-        """Values of the number at coordinates u, of the same shape; where u lies beyond -1 or 1, the box has grown."""
+        """Values of the number at coordinates u, of the same shape; u beyond -1 or 1 belongs to a grown box."""
         if self.logarithmic:
             middle = 0.5 * (np.log(self.low) + np.log(self.high))
             half = 0.5 * (np.log(self.high) - np.log(self.low))
@@ -43,7 +43,9 @@ class Side(NamedTuple):
 
 
 class Box(NamedTuple):
-    """All values of a study's uncertain numbers within their ranges, in any combination; correlations are ignored.
+    """The box of a study's uncertain numbers: all their values within the ranges, in any combination.
+
+    Correlations are ignored.
 
     Args:
         sides: The range of each number.
@@ -62,7 +64,11 @@ class Box(NamedTuple):
 
 
 def box_of(study: Study, sigma: float) -> Box:
-    """The box of a study's uncertain numbers; ``sigma`` cuts the laws without ends.
+    """The box of a study's uncertain numbers, between the ends of their laws.
+
+    Args:
+        study: The study.
+        sigma: Number of standard deviations from the median at which laws without ends are cut.
 
     Raises:
         ConfigError: The study has no uncertain number, or ``sigma`` is not admissible.
@@ -84,42 +90,42 @@ def box_of(study: Study, sigma: float) -> Box:
 def cut_ends(name: str, law: Law, sigma: float) -> tuple[float, float]:
     """The values ``sigma`` standard deviations below and above the median of a law without ends.
 
-    Such a law (``normal``, ``lognormal``) is symmetric about its median, on a linear or a logarithmic scale. A
-    lognormal law is cut at both ends, too: no number of standard deviations reaches its lower end, 0.
+    Such a law is ``normal`` or ``lognormal``: symmetric about its median, on a linear or a logarithmic scale. A
+    lognormal law has the lower end 0, but is cut below, too, since no number of standard deviations reaches 0.
 
     Args:
         name: Dotted name of the number.
         law: Its law.
-        sigma: The number of standard deviations of a normal law.
+        sigma: Number of standard deviations.
 
     Raises:
-        ConfigError: An end is not a positive or finite number, so that ``sigma`` is too large.
+        ConfigError: ``sigma`` is so large that the upper end is not finite, or the lower end of a lognormal law is 0.
     """
     one_deviation_below = law.quantile(norm.cdf(-1.0))
     with np.errstate(over="ignore", under="ignore"):
         low = float(law.spread(one_deviation_below, sigma))
-        high = float(law.spread(one_deviation_below, -sigma))  # a negative factor mirrors it at the median
+        high = float(law.spread(one_deviation_below, -sigma))  # a negative factor mirrors the value at the median
     if not np.isfinite(high) or (law.logarithmic and not low > 0.0):
         raise ConfigError("sigma", f"cuts {name} at [{low:g}, {high:g}]; take fewer standard deviations")
     return low, high
 
 
 def grown_box(sides: int, growth: float) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner of the box [-1, 1]^sides after a growth about its middle, shape (sides,) each."""
+    """Lower and upper corner, shape (sides,) each, of the box [-1, 1]^sides grown by a factor about its middle."""
     corner = growth * np.ones(sides)
     return -corner, corner
 
 
 def admissible_growths(study: Study, box: Box) -> list[float]:
-    """The factors of :data:`GROWTHS` by which the box can grow so that the study accepts its ends, largest first.
+    """The factors of :data:`GROWTHS` for which the study accepts the ends of the grown box, the largest first.
 
-    The box itself, factor 1, is always among them.
+    The factor 1, the box itself, is always among these.
     """
     return [growth for growth in GROWTHS if growth == 1.0 or accepts_box(study, box, growth)]
 
 
 def accepts_box(study: Study, box: Box, growth: float) -> bool:
-    """Whether a study accepts the ends of a grown box: all its numbers at an end together, and each alone.
+    """Whether a study accepts the upper and the lower ends of a grown box, for all numbers together and for each alone.
 
     Args:
         study: The study.

@@ -76,7 +76,7 @@ class CellBounds(NamedTuple):
 
     Args:
         gains: An upper bound of each gain of the readout, shape (n, gains); infinite where there is none.
-        axis: Index of the side to halve, shape (n,); the index after the last side is the angle.
+        axis: Index of the side to halve, shape (n,); the index after the last side means the angle.
     """
 
     gains: np.ndarray
@@ -104,7 +104,7 @@ class CoverBounds(NamedTuple):
 
     @property
     def stable(self) -> bool:
-        """Whether the bounds prove that the loop is stable on all of the box."""
+        """Whether all bounds are finite, which shows that the loop is stable on all of the box."""
         return bool(np.all(np.isfinite(self.gains)))
 
 
@@ -126,7 +126,8 @@ class Expansion(NamedTuple):
 def first_angles(poles: np.ndarray) -> np.ndarray:
     """Ends of the first intervals of angles omega T_s, from 0 to pi, shape (INTERVALS + 1,).
 
-    From an angle well below the slowest pole on, they are evenly spaced in the logarithm.
+    The first interval begins at 0 and ends well below the angle of the slowest pole. From there on, the ends are evenly
+    spaced in the logarithm.
 
     Args:
         poles: Poles of the loop in the middle of the box, shape (states,).
@@ -152,8 +153,8 @@ def cover_box(
         ends: Lower and upper corner of the box, shape (sides,).
         goals: Bounds that are good enough, shape (gains,).
         most_cells: Largest number of cells to compute; the first :data:`INTERVALS` are computed in any case.
-        remaining_points: Number of points that may still be evaluated.
-        readout: The gains.
+        remaining_points: () -> number of points that may still be evaluated.
+        readout: The gains, and how they are bounded.
     """
     sides = len(ends[0])
     points_per_part = len(measurement_points(sides))
@@ -187,7 +188,7 @@ def first_cells(evaluate: Evaluate, ends: tuple[np.ndarray, np.ndarray], channel
     Args:
         evaluate: The loop at points of the box.
         ends: Lower and upper corner of the box, shape (sides,).
-        channels: Channels in which the loop is broken.
+        channels: Number of channels in which the loop is broken.
     """
     low, high = ends
     middle = 0.5 * (low + high)
@@ -202,7 +203,7 @@ def halve(cells: Cells, axis: np.ndarray) -> Cells:
 
     Args:
         cells: The n cells.
-        axis: Index of the side of each, shape (n,); the index after the last side is the angle.
+        axis: For each cell the index of the side to halve, shape (n,); the index after the last side means the angle.
     """
     lower = Cells(*(part.copy() for part in cells))
     upper = Cells(*(part.copy() for part in cells))
@@ -226,9 +227,9 @@ def bound_cells(cells: Cells, models: Sequence[LinearModel], goals: np.ndarray, 
 
     Args:
         cells: The n cells.
-        models: The model of each cell's part of the box.
+        models: The linear model of each cell's part of the box.
         goals: Bounds that are good enough, shape (gains,).
-        readout: The gains.
+        readout: The gains, and how they are bounded.
     """
     centre, slopes, deviation, bends = stack_models(models)
     is_finite = np.all(np.isfinite(deviation), axis=(1, 2)) & np.all(np.isfinite(centre), axis=(1, 2))
@@ -238,21 +239,21 @@ def bound_cells(cells: Cells, models: Sequence[LinearModel], goals: np.ndarray, 
     inputs = slice(states, states + channels)
     outputs = slice(states + channels, None)
     n_0, steps, remainder = expand(cells, centre, slopes, deviation, channels)
-    n_0[~is_finite] = np.eye(states + 2 * channels)  # it has an inverse; these cells get no bound
+    n_0[~is_finite] = np.eye(states + 2 * channels)  # a matrix with an inverse; these cells get no bound
     with np.errstate(all="ignore"):
         r = invert(n_0)
         x = r[:, :, inputs]
         y = r[:, outputs]
         change = inverse_change(r, x, y, steps, remainder)
         response = y[:, :, inputs]  # G_0
-        linear = y[:, None] @ (steps @ x[:, None])  # y N_i x, up to a sign, which u_i has anyway
+        linear = y[:, None] @ (steps @ x[:, None])  # y N_i x; the sign does not matter, since u_i takes both
         nonlinear = np.abs(y) @ remainder @ np.abs(x)  # abs(y E x) at most
         second_order = change.left_size @ change.inverse @ change.right_size  # abs(y D N^-1 D x) at most
         gains = readout.gains(Enclosure(response, linear, nonlinear + second_order, cells.end), goals)
         is_bounded = is_finite & np.all(change.inverse >= 0.0, axis=(1, 2))
         weights = side_weights(change, add_border(bends, channels), readout.scales(response), is_bounded)
-    weights[:, sides] *= CHEAPER  # the angle
-    has_no_weights = ~np.all(np.isfinite(weights), axis=1)  # then the widest side is halved
+    weights[:, sides] *= CHEAPER  # index sides: the angle
+    has_no_weights = ~np.all(np.isfinite(weights), axis=1)  # for such cells the widest side is halved
     weights[has_no_weights, :sides] = (cells.high - cells.low)[has_no_weights]
     weights[has_no_weights, sides] = (cells.end - cells.start)[has_no_weights]
     return CellBounds(np.where(is_bounded[:, None], gains, UNBOUNDED), np.argmax(weights, axis=1))
@@ -261,8 +262,8 @@ def bound_cells(cells: Cells, models: Sequence[LinearModel], goals: np.ndarray, 
 class InverseChange(NamedTuple):
     """Sizes of the terms by which the inverse N^-1 differs on n cells from R, the inverse in the middle of each cell.
 
-    N = N_0 + D with D = sum of u_i N_i + E; x and y are the columns of R at the broken channels' inputs and its rows at
-    their outputs. Absolute values are taken entry by entry.
+    N = N_0 + D with D = sum of u_i N_i + E. The columns of R at the inputs of the broken channels are x, and the rows
+    of R at their outputs are y. Absolute values are taken entry by entry.
 
     Args:
         sizes: abs(R), shape (n, m, m).
@@ -315,15 +316,16 @@ def inverse_change(
 
 
 def side_weights(change: InverseChange, bends: np.ndarray, scales: np.ndarray, is_bounded: np.ndarray) -> np.ndarray:
-    """How much each side of a cell contributes to its bounds, shape (n, sides + 1), the angle last.
+    """How much each side of a cell contributes to the cell's bounds, shape (n, sides + 1), the angle last.
 
-    With weights s of the channels the second-order bound is s |y D| (I - K)^-1 |R D x| 1/s. The weight of side i is its
-    change with the size of N_i, a term for each of the three factors. Where a cell has no bound yet, it is the change
-    of the spectral radius of K, which must become less than 1. The side with the largest weight is halved next.
+    With weights s of the channels, the second-order bound is s |y D| (I - K)^-1 |R D x| 1/s. The weight of side i is
+    the change of this bound with the size of N_i: a sum of three terms, one for each factor. If a cell has no bound
+    yet, the weight is the change of the spectral radius of K, which must become less than 1. The side with the largest
+    weight is halved next.
 
     Args:
         change: Sizes of the terms of N^-1.
-        bends: The deviation from a linear dependence along each side, shape (n, sides, m, m).
+        bends: Deviations of N from a linear dependence on each coordinate alone, shape (n, sides, m, m).
         scales: s, positive, shape (n, channels).
         is_bounded: Whether each cell has a bound, shape (n,).
     """
@@ -348,8 +350,9 @@ def expand(cells: Cells, centre: np.ndarray, slopes: np.ndarray, deviation: np.n
     Args:
         cells: The n cells.
         centre: [[A, B], [C, 0]] in the middle of each part of the box, shape (n, states + channels, states + channels).
-        slopes: Its slopes along the sides, shape (n, sides, states + channels, states + channels).
-        deviation: A bound of its deviations from the linear function, of the shape of ``centre``.
+        slopes: Half the change of [[A, B], [C, 0]] along each side, shape (n, sides, states + channels,
+            states + channels).
+        deviation: A bound of the deviations of [[A, B], [C, 0]] from the linear function, of the shape of ``centre``.
         channels: Columns of B.
     """
     states = centre.shape[-1] - channels

@@ -48,12 +48,14 @@ class LoopCase(NamedTuple):
         found: Worst value of each margin found in the box, shape (margins,).
         numbers: For each margin the numbers at which its worst value was found, by name.
         bounded: Values of the margins that hold on all of the box, shape (margins,); NaN if none was found.
-        growth_found: Smallest growth of the box found that reaches an unstable loop; infinite if none was found.
-        unstable: The numbers of that loop, by name.
-        has_operating_point: Whether that loop has an operating point within its limits; one without counts as unstable.
-        growth_bounded: Growth up to which the loop is proved to be stable.
-        growable: Largest growth that was searched.
-        cells: Number of cells that were computed.
+        growth_found: Smallest factor found by which the box has to grow to reach an unstable loop; infinite if no
+            unstable loop was found.
+        unstable: The numbers of this unstable loop, by name; NaN if none was found.
+        has_operating_point: Whether this unstable loop has an operating point within its limits. A loop without one
+            counts as unstable.
+        growth_bounded: Factor of growth up to which the bounds show that the loop is stable.
+        growable: Largest factor of growth that was searched.
+        cells: Number of cells for which bounds were computed.
     """
 
     names: tuple[str, ...]
@@ -70,7 +72,7 @@ class LoopCase(NamedTuple):
 
 
 def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
-    """The dataset of a :class:`~dssc_jax.analyses.worst_loop.result.WorstLoop` for single break points.
+    """The dataset of a :class:`~dssc_jax.analyses.worst_loop.result.WorstLoop`, for the loops with one break point.
 
     Args:
         box: The box of the uncertain numbers.
@@ -128,7 +130,7 @@ def along_sides(box: Box, numbers: Mapping[str, float]) -> list[float]:
 
 
 def multiloop_dataset(box: Box, case: JointCase | None) -> xr.Dataset:
-    """The variables of a worst case for all commands at once; an empty dataset without such a case.
+    """The worst case for all commands at once as variables of a dataset, which is empty without such a case.
 
     Args:
         box: The box of the uncertain numbers.

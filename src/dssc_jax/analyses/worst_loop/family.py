@@ -28,7 +28,7 @@ RemainingPoints = Callable[[], int]
 
 
 class LoopFamily:
-    """The linearised loop at points of the box. It linearises each point once, in batches.
+    """The linearised loop at points of the box. Each point is linearised only once, and points in batches.
 
     Args:
         resting: The undisturbed loop of the study.
@@ -39,7 +39,7 @@ class LoopFamily:
     """
 
     def __init__(self, resting: RestingLoop, box: Box, findings: np.ndarray, advance: Callable[[int], None]) -> None:
-        """Start with an empty cache of linearised points."""
+        """Start with an empty cache of linearised points; nothing is linearised yet."""
         self.resting = resting
         self.advance = advance
         self.box = box
@@ -49,7 +49,10 @@ class LoopFamily:
         self.patterns: dict[bytes, StateMatrices] = {}  # one loop of the cache for each zero_pattern
 
     def at(self, points: np.ndarray) -> StateMatrices:
-        """Matrices at points of shape (n, sides); NaN where there is no equilibrium. Each point is linearised once."""
+        """Matrices of the loop at points of shape (n, sides); NaN at a point without an equilibrium.
+
+        Only points that are not in the cache are linearised.
+        """
         points = np.round(points, DIGITS) + 0.0  # one key for 0.0 and -0.0
         keys = [point.tobytes() for point in points]
         new_by_key = {key: point for key, point in zip(keys, points, strict=True) if key not in self.row_of_point}
@@ -59,13 +62,13 @@ class LoopFamily:
         return stack_loops([self.cache[self.row_of_point[key]] for key in keys])
 
     def store(self, batch: np.ndarray) -> None:
-        """Linearise the loop at new points and store it in the cache.
+        """Linearise the loop at new points, and store the matrices in the cache.
 
         Args:
             batch: The points, shape (n, sides), n at most :data:`BATCH_POINTS`.
         """
         filling = np.repeat(batch[-1:], BATCH_POINTS - len(batch), axis=0)  # all batches have one shape
-        draw_0 = np.zeros(BATCH_POINTS, int)
+        draw_0 = np.zeros(BATCH_POINTS, int)  # all points have the random key of draw 0
         matrices = self.linearise(np.concatenate([batch, filling]), draw_0)
         for row, point in enumerate(batch):
             self.row_of_point[point.tobytes()] = len(self.cache)
@@ -75,10 +78,10 @@ class LoopFamily:
         self.advance(len(self.cache))
 
     def seen_loops(self, drawn: StateMatrices) -> StateMatrices:
-        """The loops of the draws, and one loop with each pattern of zeros among the points linearised so far.
+        """The loops of the draws, and one loop for each pattern of zeros among the points linearised so far.
 
-        A pattern tells which states have an effect. A state may have one at some of the points only, as a delay's
-        memory of a command sent long ago.
+        The pattern of zeros in A, B and C tells which states have an effect. Some states have an effect only at some
+        points, such as a delay's memory of a command sent long ago.
 
         Args:
             drawn: The loops of the draws that have an operating point.
@@ -90,7 +93,7 @@ class LoopFamily:
         return StateMatrices(*(np.concatenate(pair) for pair in pairs))
 
     def states_at(self, drawn: StateMatrices, place: int) -> np.ndarray:
-        """Indices of the states that carry a signal back to a break point, in a draw or at a linearised point.
+        """Indices of the states that carry a signal from a break point back to it, in a draw or at a linearised point.
 
         Args:
             drawn: The loops of the draws that have an operating point.
@@ -101,21 +104,21 @@ class LoopFamily:
         return loops.loop_states(place, all_loops)
 
     def remaining_points(self, limit: int) -> int:
-        """Number of points that may still be linearised, with a limit for all searches together."""
+        """Number of points that may still be linearised if all searches together may take ``limit`` points."""
         return max(0, limit - len(self.cache))
 
     def allowance(self, points: int) -> RemainingPoints:
-        """Return a function that counts how many of ``points`` further points may still be linearised."""
+        """Allow ``points`` further points, and return a function that says how many of them are left."""
         return partial(self.remaining_points, len(self.cache) + points)
 
     def linearise(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
         """Linearise the loop at points of shape (n, sides); NaN where there is no equilibrium.
 
-        A part that rests on a boundary of its smooth range (a corner) is linearised as within the boundary.
+        A part that rests on a boundary of its smooth range (a corner) is linearised as on the inner side of it.
 
         Args:
-            points: The points.
-            indices: The draw whose random key is used at each point, shape (n,).
+            points: The points, shape (n, sides).
+            indices: Index of the draw whose random key is used at each point, shape (n,).
         """
         values = self.box.values(points)
         states, matrices, is_settled, _ = self.resting.settle(values, indices)
@@ -126,7 +129,9 @@ class LoopFamily:
         return StateMatrices(matrices.next_states, matrices.a + gaps, matrices.b + gaps, matrices.c + gaps)
 
     def require_no_other_uncertainty(self) -> None:
-        """Require that the uncertain numbers alone determine the linearised loop, by draws in the middle of the box.
+        """Require that the uncertain numbers alone determine the linearised loop.
+
+        The check compares the loops in the middle of the box for several random keys.
 
         Raises:
             ConfigError: The loop depends on the random key of a draw, too.
@@ -149,7 +154,7 @@ def stack_loops(loops: Sequence[StateMatrices]) -> StateMatrices:
 
 
 def zero_pattern(loop: StateMatrices) -> bytes:
-    """A key that tells which entries of A, B and C of one loop are 0; loops with the same zeros have the same key."""
+    """A key of the pattern of zeros in A, B and C of one loop; loops with the same pattern have the same key."""
     masks = [np.packbits(matrix != 0.0) for matrix in (loop.a, loop.b, loop.c)]
     return b"".join(mask.tobytes() for mask in masks)
 
@@ -164,7 +169,7 @@ class BrokenFamily:
     """
 
     def __init__(self, family: LoopFamily, state_indices: np.ndarray, places: Sequence[int]) -> None:
-        """Find the sides of the box that change this loop."""
+        """Find the sides of the box that change this broken loop."""
         self.family = family
         self.state_indices = state_indices
         self.places = list(places)
@@ -172,7 +177,7 @@ class BrokenFamily:
 
     @property
     def sample_time(self) -> float:
-        """T_s [s]."""
+        """The sample time T_s of the loop [s]."""
         return self.family.resting.study.config.loop.sample_time
 
     @property
@@ -181,9 +186,9 @@ class BrokenFamily:
         return tuple(self.family.box.sides[side].name for side in self.sides)
 
     def in_whole_box(self, points: np.ndarray) -> np.ndarray:
-        """Points of shape (n, sides) as points of the whole box, shape (n, sides of the box).
+        """Convert points of shape (n, sides) to points of the whole box, shape (n, sides of the box).
 
-        Numbers that do not change this loop get the middle of their ranges, coordinate 0.
+        Numbers that do not change this loop get the coordinate 0, the middle of their ranges.
         """
         result = np.zeros((len(points), len(self.family.box.sides)))
         result[:, self.sides] = points
@@ -202,11 +207,15 @@ class BrokenFamily:
         return bool(np.isfinite(matrices.a).all() and not is_open)
 
     def at(self, points: np.ndarray) -> np.ndarray:
-        """[[A, B], [C, 0]] of this loop at points of shape (n, sides), shape (n, states + places, states + places)."""
+        """[[A, B], [C, 0]] of this broken loop at points of shape (n, sides).
+
+        Returns:
+            Shape (n, states + places, states + places); NaN at a point without an equilibrium.
+        """
         return self.break_loops(self.family.at(self.in_whole_box(points)))
 
     def break_loops(self, matrices: StateMatrices) -> np.ndarray:
-        """This broken loop from n whole loops, as [[A, B], [C, 0]] of shape (n, states + places, states + places).
+        """Extract this broken loop from n whole loops: [[A, B], [C, 0]], shape (n, states + places, states + places).
 
         Args:
             matrices: Matrices of the whole loops, with all states and all break points.
@@ -222,7 +231,10 @@ class BrokenFamily:
         return np.concatenate([upper_rows, lower_rows], axis=1)
 
     def _influential_sides(self) -> list[int]:
-        """Indices of the sides of the box that change this loop, found by moving each number from random points."""
+        """Indices of the sides of the box that change this loop.
+
+        Each number alone is moved from several random points. A number without any effect there is left out.
+        """
         sides = len(self.family.box.sides)
         starts = np.random.default_rng(0).uniform(-0.5, 0.5, (PROBES, sides))
         moved = np.repeat(starts[:, None], sides, axis=1)  # shape (PROBES, sides, sides): a point for each moved number
@@ -239,12 +251,12 @@ class BrokenFamily:
 def with_all_states(
     broken: BrokenFamily, states_of: Callable[[], np.ndarray], search: Callable[[BrokenFamily], Case]
 ) -> Case:
-    """Search a broken loop, and again with more states, as long as a search has met points where further ones matter.
+    """Search a broken loop, and repeat the search with more states until no further state is found to matter.
 
     Args:
         broken: The broken loop, with the states that are known before the search.
-        states_of: () -> indices of the states of the loop at any point linearised so far, shape (states,).
-        search: (broken loop) -> what is found of it.
+        states_of: () -> indices of the states that matter at any point linearised so far, shape (states,).
+        search: (broken loop) -> its worst case.
     """
     while True:
         case = search(broken)

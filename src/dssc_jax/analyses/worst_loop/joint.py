@@ -33,11 +33,11 @@ class JointCase(NamedTuple):
         names: Dotted names of the numbers that change the loop.
         drawn: Worst margin of the draws; 0: a loop is unstable.
         found: Worst margin found in the box; 0: a loop is unstable.
-        numbers: The numbers at which it was found, by name.
-        frequency: Frequency at which that loop oscillates with the perturbation found [rad/s].
+        numbers: The numbers of the loop with the worst margin found, by name.
+        frequency: Frequency at which this loop oscillates with the perturbation found [rad/s].
         factors: Complex factor of each command in that perturbation, shape (channels,).
         bounded: Margin that holds on all of the box; NaN if no bound was found.
-        cells: Number of cells that were computed.
+        cells: Number of cells for which bounds were computed.
     """
 
     channels: tuple[str, ...]
@@ -52,9 +52,9 @@ class JointCase(NamedTuple):
 
 
 def joint_disk_margins(matrices: np.ndarray, channels: int, sample_time: float) -> JointMargins:
-    """The disk margins of n loops, with the balanced bound of mu, and the perturbations that attain them.
+    """The disk margins of n loops, by the balanced bound of mu, and perturbations that make the loops singular.
 
-    An unstable loop has margins of 0, and NaN for its frequency and factors.
+    An unstable loop has the margins 0, and NaN for frequency and factors.
 
     Args:
         matrices: [[A, B], [C, 0]], shape (n, states + channels, states + channels).
@@ -93,7 +93,7 @@ def worst_joint_margin(
     """
 
     def attained_margins(points: np.ndarray) -> np.ndarray:
-        """The disk margin at each point as the one quantity of the search, shape (n, 1)."""
+        """The attained disk margin at each point, shape (n, 1): the search has this one quantity."""
         return joint_disk_margins(evaluate(points), channels, sample_time).attained[:, None]
 
     (worst,) = worst_values(attained_margins, np.negative, sides, budget)  # a smaller margin is worse
@@ -105,7 +105,7 @@ def joint_mu_bound(
 ) -> CoverBounds:
     """Bound mu from above over the whole box; 1/mu is the disk margin of all commands at once.
 
-    Cells are halved until the bound is ``goal`` or less, or their number or the budget is spent.
+    Cells are halved until the bound is at most ``goal``, or until the number of cells or the budget is spent.
 
     Args:
         evaluate: Gives the loops at points of the box [-1, 1]^n; that in the middle is stable.
@@ -155,7 +155,7 @@ def joint_case(
 
 
 def seen_joint_places(study: Study, family: LoopFamily, drawn: StateMatrices) -> JointPlaces | None:
-    """The commands that have an effect in a draw or at a point linearised so far; None if they are fewer than two.
+    """The commands with an effect in a draw or at a point linearised so far; None if fewer than two have one.
 
     Args:
         study: The study.
@@ -170,7 +170,7 @@ def seen_joint_places(study: Study, family: LoopFamily, drawn: StateMatrices) ->
 def multiloop_case(
     study: Study, family: LoopFamily, drawn: StateMatrices, cells: int, remaining_points: RemainingPoints
 ) -> JointCase | None:
-    """Find the worst disk margin of all commands at once; None if fewer than two have an effect.
+    """Find the worst disk margin of all commands at once; None if fewer than two commands have an effect.
 
     Args:
         study: The study.
@@ -185,13 +185,13 @@ def multiloop_case(
     channels = tuple(study.loop.channels[index] for index in joint.channels)
 
     def known_states() -> np.ndarray:
-        """Indices of the states between the commands at any point linearised so far."""
+        """Indices of the states between the commands, in a draw or at any point linearised so far, shape (states,)."""
         places = seen_joint_places(study, family, drawn)
         assert places is not None  # the loops seen so far become more, never fewer
         return places.states
 
     def search(broken: BrokenFamily) -> JointCase:
-        """The worst case of all commands at once, with the points that are left."""
+        """Find the worst case of all commands at once, with as many points as are left."""
         return joint_case(broken, channels, broken.break_loops(drawn), cells, remaining_points())
 
     return with_all_states(BrokenFamily(family, joint.states, joint.points.tolist()), known_states, search)

@@ -1,4 +1,7 @@
-"""The linearised loop on parts of the box as a linear function of its numbers, with a bound of the deviations."""
+"""The linearised loop on parts of the box as a linear function of its numbers, with a bound of the deviations.
+
+The bound comes from deviations that are measured at points of the part and widened, so it is no proof.
+"""
 
 import itertools
 from collections.abc import Sequence
@@ -12,7 +15,7 @@ from dssc_jax.analyses.worst_loop.family import Evaluate
 WIDENED = 1.5
 """Factor of the measured deviations from a linear dependence, since those between the points may be larger."""
 CORNERED = 4  # largest number of sides with which the deviations are measured at all corners and edges
-RANDOM_CORNERS = 32  # corners at which they are measured with more sides
+RANDOM_CORNERS = 32  # random corners at which the deviations are measured with more sides
 MOST_PARALLEL = 1e6  # largest condition number of the matrix of modes
 
 
@@ -24,8 +27,9 @@ class LinearModel(NamedTuple):
     Args:
         centre: M in the middle, shape (m, m).
         slopes: Half the change of M across the part along each side, shape (sides, m, m).
-        deviation: A bound of abs(E), entry by entry, shape (m, m).
-        bends: The part of the deviation that comes from each side alone, shape (sides, m, m).
+        deviation: A bound of abs(E), entry by entry, shape (m, m): the largest deviation measured at some points, times
+            :data:`WIDENED`.
+        bends: The part of the measured deviation that comes from each side alone, shape (sides, m, m).
     """
 
     centre: np.ndarray
@@ -37,9 +41,10 @@ class LinearModel(NamedTuple):
 def measurement_points(sides: int) -> np.ndarray:
     """Points of [-1, 1]^sides at which deviations from a linear dependence are measured, shape (n, sides).
 
-    :func:`linear_model` reads them by this order: the centre, the middles of the upper faces, those of the lower faces,
-    then the points halfway to the upper and to the lower ones. With few sides all corners and middles of edges follow,
-    else the corners of each pair of sides and random corners.
+    :func:`linear_model` relies on the order of the points: the centre, the middles of the upper faces, the middles of
+    the lower faces, then the points halfway from the centre to each of these. With at most :data:`CORNERED` sides all
+    corners and all middles of edges follow; with more sides, the corners of the square of each pair of sides, and
+    random corners.
     """
     unit = np.eye(sides)
     points = [np.zeros((1, sides)), unit, -unit, 0.5 * unit, -0.5 * unit]
@@ -71,7 +76,7 @@ class LinearModels:
         self.models: dict[bytes, LinearModel] = {}
 
     def on(self, lows: np.ndarray, highs: np.ndarray) -> list[LinearModel]:
-        """The model of each part of the box; the loop is evaluated once for all parts that are new.
+        """The model of each of n parts of the box; one call of ``evaluate`` serves all parts that are new.
 
         Args:
             lows: Lower corner of each part, shape (n, sides).
@@ -92,7 +97,9 @@ class LinearModels:
 
 
 def linear_model(points: np.ndarray, matrices: np.ndarray, channels: int) -> LinearModel:
-    """Fit a linear model to the loop on a part of the box, and bound its deviation from the loop.
+    """Fit a linear model to the loop on a part of the box, and bound the deviation of the model from the loop.
+
+    The bound follows from deviations that are measured at the points, widened by :data:`WIDENED`.
 
     Args:
         points: The points of :func:`measurement_points`, shape (n, sides).
@@ -123,10 +130,10 @@ def stack_models(models: Sequence[LinearModel]) -> LinearModel:
 
 
 def to_modes(matrices: np.ndarray, channels: int) -> np.ndarray:
-    """Matrices [[A, B], [C, 0]] with the modes of the first A as states, shape (n, m, m) both.
+    """Transform matrices [[A, B], [C, 0]] so that the modes of the first A become the states, shape (n, m, m) both.
 
-    Where the modes are nearly parallel, the Schur vectors of the first A take their place. A first A that is not finite
-    has no modes, and the states stay.
+    If the modes are nearly parallel, the Schur vectors of the first A are used instead. If the first A is not finite,
+    it has no modes, and the states are not changed.
     """
     result = matrices.astype(complex)
     a = matrices[0, :-channels, :-channels]

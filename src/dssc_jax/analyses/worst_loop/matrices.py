@@ -6,7 +6,7 @@ SQUARINGS = 4  # squarings of a matrix, after which its largest eigenvalue preva
 
 
 def invert(matrices: np.ndarray) -> np.ndarray:
-    """Inverses of n matrices, of their shape (n, m, m); NaN for a singular one."""
+    """Inverses of n matrices, shape (n, m, m) both; NaN for a singular matrix."""
     try:
         return np.linalg.inv(matrices)  # all at once, which fails if one is singular
     except np.linalg.LinAlgError:
@@ -22,11 +22,11 @@ def invert(matrices: np.ndarray) -> np.ndarray:
 def dominant_vectors(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Approximate left and right eigenvectors of the largest eigenvalues of n nonnegative matrices, shape (n, m) each.
 
-    A high power of a matrix is nearly a multiple of the product v w' of its right eigenvector v and its left one w. So
-    the sums of its columns are nearly proportional to w, and the sums of its rows to v.
+    A high power of a matrix is nearly a multiple of v w', with the right eigenvector v and the left eigenvector w of
+    the matrix. So the column sums of the power are nearly proportional to w, and its row sums to v.
 
     Args:
-        matrices: Shape (n, m, m).
+        matrices: The matrices, shape (n, m, m).
     """
     power = matrices
     for _ in range(SQUARINGS):
@@ -36,12 +36,12 @@ def dominant_vectors(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def add_border(matrices: np.ndarray, channels: int) -> np.ndarray:
-    """Matrices [[A, B, 0], [0, 0, 0], [C, 0, 0]], from [[A, B], [C, 0]].
+    """Extend matrices [[A, B], [C, 0]] to [[A, B, 0], [0, 0, 0], [C, 0, 0]].
 
-    A, B and C lie where N = [[z I - A, -B, 0], [0, I, 0], [-C, 0, I]] has them.
+    A, B and C then have the places that they have in N = [[z I - A, -B, 0], [0, I, 0], [-C, 0, I]].
 
     Args:
-        matrices: Shape (..., states + channels, states + channels).
+        matrices: [[A, B], [C, 0]], shape (..., states + channels, states + channels).
         channels: Columns of B.
 
     Returns:

@@ -56,12 +56,16 @@ class Readout(NamedTuple):
 
 
 def unscaled(responses: np.ndarray) -> np.ndarray:
-    """The weights of a loop that is broken in one channel, all 1, from responses of shape (n, 1, 1); shape (n, 1)."""
+    """The weights of the only channel of a loop that is broken in one channel: all 1, shape (n, 1).
+
+    Args:
+        responses: The responses, shape (n, 1, 1), of which only n matters.
+    """
     return np.ones(responses.shape[:2])
 
 
 def single_gains(enclosure: Enclosure, goals: np.ndarray) -> np.ndarray:
-    """Bounds of the :data:`GAINS` of a loop that is broken in one channel on each cell, shape (n, gains).
+    """Bounds of the :data:`GAINS` on each cell, shape (n, gains), for a loop that is broken in one channel.
 
     Args:
         enclosure: The sets that contain the response.
@@ -80,8 +84,9 @@ def single_gains(enclosure: Enclosure, goals: np.ndarray) -> np.ndarray:
 def magnitude_bound(centre: np.ndarray, generators: np.ndarray) -> np.ndarray:
     """A bound of abs(centre + sum of u_i generators_i) over all u_i in [-1, 1], shape (n,).
 
-    These numbers form a polygon in the complex plane. Its extent is computed in :data:`DIRECTIONS` directions. A point
-    lies at most half the angle between two directions off one of them, which the division by a cosine covers.
+    These numbers form a polygon in the complex plane, whose extent is computed in :data:`DIRECTIONS` directions. The
+    direction of any point differs from the nearest of these by at most half the angle between two of them. The division
+    by the cosine of this half angle makes the result a bound.
 
     Args:
         centre: Complex numbers, shape (n,).
@@ -95,7 +100,7 @@ def magnitude_bound(centre: np.ndarray, generators: np.ndarray) -> np.ndarray:
 
 
 def joint_scales(responses: np.ndarray) -> np.ndarray:
-    """Diagonals of D for which the responses D G D^-1 are balanced, shape (n, channels); 1 where G is not finite.
+    """Diagonals of the matrices D that balance the responses D G D^-1, shape (n, channels); 1 if G is not finite.
 
     Args:
         responses: G, shape (n, channels, channels).
@@ -107,9 +112,10 @@ def joint_scales(responses: np.ndarray) -> np.ndarray:
 def joint_gains(enclosure: Enclosure, goals: np.ndarray) -> np.ndarray:
     """A bound of the structured singular value of M = G + I/2 on each cell, shape (n, 1); infinite if M is not finite.
 
-    The largest singular value of D M D^-1 is a bound for every positive diagonal D; each cell has one D. The first D
-    balances the largest sizes of the entries on the cell. If its bound in the middle of the cell is above the goal
-    already, the best D for the middle is tried, too. Otherwise a smaller cell is enough.
+    The largest singular value of D M D^-1 is a bound for every positive diagonal D; one D is used on all of a cell. The
+    first D to try balances the largest sizes that the entries of M have on the cell. If even the middle of the cell has
+    a bound above the goal with this D, the D that is best for the middle is tried, too. Otherwise halving the cell can
+    reach the goal without another D.
 
     Args:
         enclosure: The sets that contain the response G.
@@ -141,7 +147,7 @@ def scaled_bounds(middle: np.ndarray, linear: np.ndarray, remainder: np.ndarray,
         middle: M in the middle of each cell, shape (n, channels, channels).
         linear: The linear part of M, shape (n, sides + 1, channels, channels).
         remainder: The bound of abs(R), entry by entry, shape (n, channels, channels).
-        logs: log of the diagonal of D, shape (n, channels).
+        logs: Natural logarithm of the diagonal of D, shape (n, channels).
     """
     ratios = np.exp(logs[:, :, None] - logs[:, None, :])  # entry i, j of D M D^-1 is M_ij times D_i/D_j
     middle = middle * ratios
@@ -158,12 +164,12 @@ def scaled_bounds(middle: np.ndarray, linear: np.ndarray, remainder: np.ndarray,
 def norm_over_box(centre: np.ndarray, generators: np.ndarray) -> np.ndarray:
     """A bound of the largest singular value of centre + sum of u_i generators_i over all u_i in [-1, 1], shape (n,).
 
-    The singular value is convex in u, so its maximum over a box lies at a vertex. All vertices are tried for the
-    :data:`VERTICES` largest generators. For the others norms are added.
+    The largest singular value is convex in u, so its maximum over the box lies at a vertex. For the :data:`VERTICES`
+    largest generators all vertices are tried. For all other generators their norms are added.
 
     Args:
-        centre: Shape (n, m, m).
-        generators: Shape (n, k, m, m).
+        centre: The matrices in the middle, shape (n, m, m).
+        generators: The matrices that the coordinates u_i multiply, shape (n, k, m, m).
     """
     norms = largest_singular_values(generators)
     order = np.argsort(-norms, axis=1)  # the largest first
@@ -188,5 +194,8 @@ SINGLE_READOUT = Readout(1, len(GAINS), unscaled, single_gains)
 
 
 def joint_readout(channels: int) -> Readout:
-    """The gain of all commands at once: the structured singular value of G + I/2, the inverse of the disk margin."""
+    """The readout for all commands at once: its one gain is the structured singular value of G + I/2.
+
+    The gain is the inverse of the disk margin.
+    """
     return Readout(channels, 1, joint_scales, joint_gains)

@@ -24,7 +24,7 @@ BEYOND = (0.02, 0.01, 0.005, 0.002, 0.001)
 
 @dataclass(frozen=True)
 class WorstMargin:
-    """The worst case of a margin at one break point: of the draws, found in the box, and bounded for all of it."""
+    """The worst case of a margin at one break point: among the draws, found in the box, and bounded for all of it."""
 
     unit: Annotated[str, Quantity("", "unit of the margin")]
     drawn: Annotated[float, Quantity(MARGIN_UNIT, "worst of all draws; None: infinite, or a loop is unstable")]
@@ -35,7 +35,7 @@ class WorstMargin:
 
 @dataclass(frozen=True)
 class LoopWorst:
-    """The worst case of the loop broken at one place: its stability on the box, and its margins by name."""
+    """The worst case of the loop broken at one place: whether it is stable on the box, and its margins by name."""
 
     stable: Annotated[bool | None, Quantity("", "whether it is stable on all of the box; None: undecided")]
     growth_bounded: Annotated[float, Quantity("1", "growth of the box up to which the loop is stable")]
@@ -94,15 +94,16 @@ class WorstLoopAnswer:
 class WorstLoop(Analysis):
     """Worst case of the linearised loop over the box of the laws.
 
-    The dataset has along ``loop`` (the break point) and ``margin``: ``drawn``, ``found`` and ``bounded``, and the
-    ``perturbation`` (along ``number``) that has the value found. Where several commands have an effect,
-    ``multiloop_drawn``, ``multiloop_found`` and ``multiloop_bounded`` are the disk margin of all of them at once,
-    ``multiloop_perturbation`` (along ``number``) has the value found, and along ``channel`` the loop there oscillates
-    with ``multiloop_gain`` and ``multiloop_phase``.
+    The dataset has along ``loop`` (the break point) and ``margin`` the values ``drawn``, ``found`` and ``bounded``.
+    Along ``number``, too, it has ``perturbation``, the uncertain numbers at which ``found`` was found. Where several
+    commands have an effect, ``multiloop_drawn``, ``multiloop_found`` and ``multiloop_bounded`` are the disk margin of
+    all commands at once, and ``multiloop_perturbation`` (along ``number``) are the numbers at which it was found. The
+    loop with these numbers oscillates if the commands have the factors ``multiloop_gain`` and ``multiloop_phase``
+    (along ``channel``).
 
     Args:
         sigma: Standard deviations at which laws without ends are cut.
-        taken: What is taken for parts of the loop that have no derivative, in words.
+        taken: The smooth substitutes that were taken for parts of the loop without a derivative, in words.
         points: Number of points of the box at which the loop was linearised.
         most_points: Largest number of these points.
         seconds: Computing time [s].
@@ -147,8 +148,8 @@ class WorstLoop(Analysis):
     def unstable_witness(self, loop: str) -> Study | None:
         """The study of an unstable loop, with numbers up to 2 % beyond those of :meth:`unstable`; None: none was found.
 
-        A study may not accept numbers so far out, as where a root of a difference is undefined. Then nearer ones are
-        taken.
+        If the study does not accept numbers so far out, for instance because the root of a difference is undefined
+        there, numbers nearer to those of :meth:`unstable` are taken.
 
         Args:
             loop: Name of the break point.
@@ -167,7 +168,7 @@ class WorstLoop(Analysis):
 
         Args:
             loop: Name of the break point.
-            share: Additional distance from the middle, relative to theirs.
+            share: Additional distance from the middle, relative to the distance of the numbers of :meth:`unstable`.
         """
         numbers = {}
         for name, value in self.unstable(loop).items():
@@ -183,7 +184,7 @@ class WorstLoop(Analysis):
         return numbers
 
     def witnesses(self) -> dict[str, Study]:
-        """The studies of all worst cases, by ``LOOP-MARGIN``; ``LOOP-stability`` is that of an unstable loop."""
+        """The studies of all worst cases, by a name ``LOOP-MARGIN``, or ``LOOP-stability`` for an unstable loop."""
         studies = {}
         for loop in self.loops:
             name = loop.replace(" ", "-")
@@ -203,7 +204,7 @@ class WorstLoop(Analysis):
 
     @property
     def headline(self) -> str:
-        """Whether the loop broken at the first place is stable on all of the box, and its disk margin, in one line."""
+        """One line on the loop broken at the first place: whether it is stable on all the box, and its disk margin."""
         loop = self.loops[0]
         worst = self.answer.loops[loop]
         disk = worst.margins["disk"]
@@ -226,7 +227,7 @@ class WorstLoop(Analysis):
         return text
 
     def figure(self) -> Figure:
-        """Plot the worst drawn, the worst found and the bounded value of each margin, at every break point."""
+        """Plot for every break point and margin the worst value of the draws, the worst value found, and the bound."""
         return plotting.worst_loop(self)
 
     def worst_of(self, loop: str) -> LoopWorst:
@@ -273,7 +274,7 @@ class WorstLoop(Analysis):
 
     @property
     def multiloop(self) -> dict[str, MultiloopWorst]:
-        """The worst case of all commands at once, under its name; empty if it was not computed."""
+        """The worst case of all commands at once, under the name :data:`ALL_COMMANDS`; empty if it was not computed."""
         if "multiloop_found" not in self.dataset:
             return {}
         data = self.dataset

@@ -16,27 +16,27 @@ UNSTABLE = {"lower": 0.0, "upper": np.inf}
 """The value of a margin of an unstable loop, by the side of its limit."""
 MOST_CORNERS = 6  # numbers up to which all corners are tried
 RANDOM_POINTS = 64  # random points at which a search begins
-FIRST_STEP = 0.5  # of the search along each number
+FIRST_STEP = 0.5  # first step of a search along each coordinate
 SMALLEST_STEP = 1e-3
-LEAST_GAIN = 1e-12  # by which a step has to improve the worst value
+LEAST_GAIN = 1e-12  # least amount by which a step has to worsen the worst value
 LEAST_SHRINKAGE = 1e-4  # share by which a step has to reduce the growth to an instability
 GROWTH_STEPS = 24  # steps of the growth along a direction, after each of which stability is tested
-BISECTIONS = 16  # of the step in which a loop becomes unstable
+BISECTIONS = 16  # bisections of the step of growth in which a loop becomes unstable
 
 
 class WorstPoint(NamedTuple):
-    """The worst value of a quantity that a search found, and the point of the box that has it, shape (sides,)."""
+    """The worst value of a quantity that a search found, and its point of the box, shape (sides,)."""
 
     value: float
     point: np.ndarray
 
 
 class Instability(NamedTuple):
-    """The unstable point nearest to the middle of the box that a search found.
+    """The point with an unstable loop, nearest to the middle of the box, that a search found.
 
     Args:
-        growth: Factor by which the box has to grow to reach it; infinite if no such point was found.
-        point: Coordinates, shape (sides,); NaN if no such point was found.
+        growth: Factor by which the box has to grow to reach the point; infinite if no such point was found.
+        point: Coordinates of the point, shape (sides,); NaN if no such point was found.
     """
 
     growth: float
@@ -46,7 +46,7 @@ class Instability(NamedTuple):
 def start_points(sides: int) -> np.ndarray:
     """The points of the box [-1, 1]^sides at which a search begins: centre, corners, random points; shape (n, sides).
 
-    With few sides all corners are among them, else random ones.
+    With at most :data:`MOST_CORNERS` sides these are all corners, with more sides random corners.
     """
     rng = np.random.default_rng(0)
     corners = rng.choice([-1.0, 1.0], (RANDOM_POINTS, sides))
@@ -56,12 +56,12 @@ def start_points(sides: int) -> np.ndarray:
 
 
 def unit_moves(sides: int) -> np.ndarray:
-    """Moves by 1 and by -1 along each coordinate, shape (2 sides, sides)."""
+    """Moves by 1 along each coordinate, then by -1 along each, shape (2 sides, sides)."""
     return np.concatenate([np.eye(sides), -np.eye(sides)])
 
 
 def spectral_radii(matrices: np.ndarray, channels: int = 1) -> np.ndarray:
-    """Largest modulus of a pole of each loop, shape (n,); below 1 the loop is stable, infinite without an equilibrium.
+    """Largest modulus of a pole of each loop, shape (n,): below 1 for a stable loop, infinite without an equilibrium.
 
     Args:
         matrices: [[A, B], [C, 0]], shape (n, states + channels, states + channels); NaN without an equilibrium.
@@ -99,7 +99,7 @@ def margins_at(matrices: np.ndarray, common_angles: np.ndarray, sample_time: flo
 
 
 def badness(margins: np.ndarray) -> np.ndarray:
-    """The :data:`MARGINS`, shape (..., margins), with the sign that makes larger values worse."""
+    """Margins in the order of :data:`MARGINS`, shape (..., margins), with signs that make larger values worse."""
     signs = [-1.0 if MARGIN_KINDS[name].side == "lower" else 1.0 for name in MARGINS]
     return margins * np.array(signs)
 
@@ -118,11 +118,11 @@ def worst_margins(
         sides: Number of coordinates.
         common_angles: omega T_s at which every loop is evaluated.
         sample_time: T_s [s].
-        remaining_points: Number of points that may still be evaluated.
+        remaining_points: () -> number of points that may still be evaluated.
     """
 
     def margins_at_points(points: np.ndarray) -> np.ndarray:
-        """The :data:`MARGINS` of the loops at some points, shape (n, margins)."""
+        """The :data:`MARGINS` of the loops at points of shape (n, sides), shape (n, margins)."""
         return margins_at(evaluate(points), common_angles, sample_time)
 
     return worst_values(margins_at_points, badness, sides, remaining_points)
@@ -136,14 +136,14 @@ def worst_values(
 ) -> list[WorstPoint]:
     """Search the box for the worst value of each quantity: the worst of many points, improved by coordinate steps.
 
-    The step is halved when it improves no quantity. The search ends with the smallest step, or without points, or at
-    an infinitely bad value.
+    The step is halved when it improves no quantity. The search ends when the step is below its smallest size, when no
+    points are left, or when a quantity has an infinitely bad value.
 
     Args:
         values_at: (points, shape (n, sides)) -> values, shape (n, quantities).
         badness: Values, shape (..., quantities) -> numbers of the same shape that are larger where they are worse.
         sides: Number of coordinates.
-        remaining_points: Number of points that may still be evaluated.
+        remaining_points: () -> number of points that may still be evaluated.
     """
     points = start_points(sides)[: max(1, remaining_points())]
     values = values_at(points)
@@ -176,7 +176,8 @@ def nearest_instability(
 ) -> Instability:
     """Search for the least growth of the box that reaches an unstable loop.
 
-    The growth is found along many directions from the middle, and the best direction is improved by coordinate steps.
+    The growth is computed along many directions from the middle of the box. Coordinate steps then improve the direction
+    with the least growth.
 
     Args:
         evaluate: The loop at points of the grown box.
@@ -208,15 +209,15 @@ def nearest_instability(
 
 
 def to_faces(directions: np.ndarray) -> np.ndarray:
-    """Directions of shape (n, sides), scaled so that each ends on a face of the box [-1, 1]^sides."""
+    """Scale directions of shape (n, sides) so that each ends on a face of the box [-1, 1]^sides."""
     return directions / np.abs(directions).max(axis=1, keepdims=True)
 
 
 def growths_to_instability(evaluate: Evaluate, directions: np.ndarray, most_growth: float) -> np.ndarray:
     """The growth of the box at which the loop becomes unstable along each direction, shape (n,).
 
-    Infinite where no tested loop is unstable, 0 where the loop in the middle of the box is. Stability is tested on a
-    grid of growths, and the step in which it is lost is bisected.
+    The growth is infinite if no loop tested along the direction is unstable, and 0 if the loop in the middle of the box
+    is unstable. Stability is tested on a grid of growths. The step of the grid in which it is lost is bisected.
 
     Args:
         evaluate: The loop at points of the grown box.

@@ -29,18 +29,18 @@ from dssc_jax.study.known_draws import study_of_draw
 SHARES = (0.95, 0.85, 0.7, 0.5, 0.3, 0.15)
 """The growths for which a proof of stability is tried, relative to the smallest one with an unstable loop."""
 SEARCHED = 0.25  # share of the points for each of the two searches
-TRIALS = 3  # one part in so many of the remaining points is for each further bound
+TRIALS = 3  # each further bound gets the remaining points divided by this number
 FREE_DELAY_GAIN = 1e-3  # goal for the gain of the delay where no delay found makes the loop unstable
 LOOSEST = np.full(len(GAINS), 1e300)
 """Goals that any finite bounds meet."""
 
 
 class GainBounds(NamedTuple):
-    """What is proved of one broken loop.
+    """Bounds for one broken loop.
 
     Args:
         covered: Bounds of the gains on all of the box.
-        growth: Growth of the box up to which the loop is proved to be stable.
+        growth: Factor of growth of the box up to which the bounds show that the loop is stable.
     """
 
     covered: CoverBounds
@@ -53,7 +53,7 @@ class WorstFound(NamedTuple):
     Args:
         margins: The worst value of each of the :data:`MARGINS` within the box.
         instability: The unstable loop nearest to the middle of the box.
-        growable: Largest growth of the box in which an unstable loop was searched.
+        growable: Largest factor of growth of the box in which an unstable loop was searched.
     """
 
     margins: list[WorstPoint]
@@ -131,10 +131,10 @@ def nearer_instability(instability: Instability, worst_disk: WorstPoint) -> Inst
 def defined_instability(
     study: Study, broken: BrokenFamily, allowance: Callable[[], RemainingPoints]
 ) -> tuple[float, Instability]:
-    """Find the nearest unstable loop, in the largest growth of the box in which that loop's numbers are defined.
+    """Find the nearest unstable loop, in the largest growth of the box in which the numbers of this loop are defined.
 
-    Within a grown box a number may be undefined although it is defined at the ends, such as the root of a difference.
-    A point with such a number is neither stable nor unstable.
+    Inside a grown box a number may be undefined although it is defined at the ends, such as the root of a difference. A
+    point with such a number is neither stable nor unstable; a smaller growth is then searched.
 
     Args:
         study: The study.
@@ -142,7 +142,7 @@ def defined_instability(
         allowance: () -> the number of points that a further search may evaluate.
 
     Returns:
-        The growth that was searched, and the unstable loop.
+        The growth that was searched last, and the unstable loop.
 
     Raises:
         ConfigError: A number is undefined within the box itself.
@@ -196,7 +196,10 @@ def find_bounds(broken: BrokenFamily, found: WorstFound, cells: int, remaining_p
 
 
 def trial_growths(found: WorstFound) -> list[float]:
-    """Growths of the box for which a proof of stability is tried, the largest first."""
+    """Growths of the box for which bounds that show stability are tried, the largest first.
+
+    They are shares of the growth at which an unstable loop was found, or of the largest growth searched.
+    """
     largest = min(found.instability.growth, found.growable)
     shares = SHARES
     if found.instability.growth > found.growable:  # the largest growth itself may be stable
@@ -205,7 +208,7 @@ def trial_growths(found: WorstFound) -> list[float]:
 
 
 def found_gains(worst_points: list[WorstPoint], sample_time: float) -> np.ndarray:
-    """The :data:`GAINS` that the worst margins found correspond to, shape (gains,): no bound can be lower.
+    """The :data:`GAINS` that the worst margins found correspond to, shape (gains,). No valid bound can be lower.
 
     Args:
         worst_points: The worst value found of each of the :data:`MARGINS`, and where it was found.
@@ -225,7 +228,7 @@ def found_gains(worst_points: list[WorstPoint], sample_time: float) -> np.ndarra
 def bounded_margins(gains: np.ndarray, sample_time: float) -> np.ndarray:
     """The :data:`MARGINS` that bounds of the gains guarantee, shape (margins,); NaN if a bound is not finite.
 
-    A bound of S, of T and of (S - T)/2 each guarantees a range of gains and phases. The widest range counts.
+    The bounds of S, of T and of (S - T)/2 each guarantee a range of gains and phases. The widest of the three counts.
 
     Args:
         gains: Bounds of |S|, |T|, |S - T|/2 and |T| theta, the order of :data:`GAINS`; theta is the angle per sample.

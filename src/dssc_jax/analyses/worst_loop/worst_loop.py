@@ -38,9 +38,10 @@ def worst_loop(
     """Find the worst margins of the linearised loop over the box of the laws, and bounds that hold on all of it.
 
     The loop is linearised at its equilibrium, as for :func:`dssc_jax.loop_margins`. Every uncertain number may have any
-    value between the ends of its law, together with any values of the others. A search finds the worst values; the
-    bounds hold for all numbers of the box and at all frequencies. The robust stability factor is the growth of the box
-    about its middle up to which the loop stays stable, 1/mu.
+    value between the ends of its law, together with any values of the others. A search finds the worst values. The
+    bounds cover all numbers of the box and all frequencies. They rest on deviations from a linear dependence that are
+    measured at points and widened, so they are no proof. The robust stability factor is the growth of the box about
+    its middle up to which the loop stays stable, 1/mu.
 
     Args:
         study: The study, or its file; its sweep is ignored.
@@ -105,7 +106,7 @@ def worst_loop(
 
 
 def linearise_widely(study: Study, family: LoopFamily, most_points: int) -> None:
-    """Linearise the loop at points all over the box and its largest growth, so that all states with an effect are seen.
+    """Linearise the loop at points all over the box and its largest growth, to see which states have an effect.
 
     Args:
         study: The study.
@@ -135,7 +136,7 @@ def loop_cases(
         drawn: The loops of the draws that have an operating point.
         cells: Largest number of cells for each loop.
         most_points: Largest number of points to linearise for all loops together.
-        other_loops: Number of searches that follow, and need a share of the points, too.
+        other_loops: Number of further searches that follow and need an equal share of the points.
     """
     remaining_loops = len(broken_loops) + other_loops
     cases = {}
@@ -149,7 +150,7 @@ def loop_cases(
 def case_with_all_states(
     study: Study, broken: BrokenFamily, drawn: StateMatrices, cells: int, share: int, most_points: int
 ) -> LoopCase:
-    """Find the worst case of one broken loop, with every state that has an effect at a point of the searches.
+    """Find the worst case of one broken loop, including every state that has an effect at a point that is searched.
 
     Args:
         study: The study.
@@ -163,11 +164,11 @@ def case_with_all_states(
     (place,) = broken.places
 
     def known_states() -> np.ndarray:
-        """Indices of the states of this loop at any point linearised so far."""
+        """Indices of the states that matter for this loop, in a draw or at any point linearised so far."""
         return family.states_at(drawn, place)
 
     def search(loop: BrokenFamily) -> LoopCase:
-        """The worst case of the loop with some states."""
+        """The worst case of the broken loop with the states that it has so far."""
         return loop_case(study, loop, drawn, cells, min(share, family.remaining_points(most_points)))
 
     return with_all_states(broken, known_states, search)
@@ -177,7 +178,7 @@ def require_sizes(cells: int, points: int | None) -> None:
     """Require admissible numbers of cells and of points.
 
     Raises:
-        ConfigError: A number is too large or not positive.
+        ConfigError: One of the two is too large or not positive.
     """
     if not 0 < cells <= MOST_CELLS:
         raise ConfigError("cells", f"must be within [1, {MOST_CELLS}], got {cells}")
@@ -186,10 +187,10 @@ def require_sizes(cells: int, points: int | None) -> None:
 
 
 def selected_break_points(study: Study, broken_at: Sequence[str]) -> tuple[str, ...]:
-    """Names of the break points to use: those stated, or the command of each channel if none is.
+    """Names of the break points to use: those stated, or by default the command of each channel.
 
     Raises:
-        ConfigError: The loop has no break point of a name.
+        ConfigError: A stated name is not that of a break point.
     """
     known_names = place_names(study.loop.channels)
     for name in broken_at:
@@ -229,7 +230,9 @@ def require_one_linear_loop(study: Study, places: Sequence[LoopPart], findings: 
 def loops_broken_at(
     study: Study, names: Sequence[str], family: LoopFamily, drawn: StateMatrices
 ) -> dict[str, BrokenFamily]:
-    """The loop over the box, broken at each of some break points, by name; those without an effect are left out.
+    """The loop over the box, broken at each of some break points, by name.
+
+    Break points without an effect are left out.
 
     Args:
         study: The study.
@@ -238,7 +241,7 @@ def loops_broken_at(
         drawn: The loops of the draws that have an operating point.
 
     Raises:
-        ConfigError: None has an effect, or no uncertain number changes one of the loops.
+        ConfigError: No break point has an effect, or one of the loops does not depend on any uncertain number.
     """
     all_names = place_names(study.loop.channels)
     broken_loops = {}
@@ -256,7 +259,7 @@ def loops_broken_at(
 
 
 def signal_hint(study: Study, name: str) -> str:
-    """A hint for the message about an unknown break point: is it a measured signal? Empty for other names."""
+    """A hint for the error message if an unknown break point is the name of a measured signal; otherwise empty."""
     measured_names = [signal.name for signal in study.loop.measures]
     if name not in measured_names and not name.startswith("measured_"):
         return ""

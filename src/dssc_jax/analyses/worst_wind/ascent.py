@@ -45,11 +45,11 @@ class Points(NamedTuple):
     numbers: Arrays
 
     def select(self, places: np.ndarray) -> "Points":
-        """The points at some indices."""
+        """The points at the indices ``places``."""
         return Points(self.winds[places], {name: column[places] for name, column in self.numbers.items()})
 
     def replace(self, places: np.ndarray, replacements: "Points") -> "Points":
-        """A copy of the points, with other points at some indices."""
+        """A copy of the points, with ``replacements`` at the indices ``places``."""
         winds = np.array(self.winds)
         winds[places] = replacements.winds
         numbers = {name: np.array(column) for name, column in self.numbers.items()}
@@ -106,8 +106,8 @@ class Climbs(NamedTuple):
 
     Args:
         signals: Name of the signal of each climb, n names.
-        points: The point that each has reached.
-        heights: Height of the signal at each point, shape (n,).
+        points: The point that each climb has reached.
+        heights: Height of the climb's signal at each point, shape (n,).
     """
 
     signals: list[str]
@@ -127,7 +127,7 @@ class Ascent:
         rng: Random generator of the candidates.
         progress: Called with the rounds done and their largest number.
         flown: Number of flights so far.
-        differentiated: Number of flights with the derivative by one number so far.
+        differentiated: Number of derivatives so far: flights, times the numbers by which each was differentiated.
     """
 
     flights: WindFlights
@@ -160,7 +160,7 @@ class Ascent:
         return worst_flights
 
     def first_climbs(self) -> Climbs:
-        """The starts of the climbs: for each signal, the worst candidates with resonant and with random winds."""
+        """The starts of the climbs: for each signal, the worst resonant and the worst random candidates."""
         candidate_sets = [self.candidates(winds) for winds in self.first_winds()]
         signals: list[str] = []
         starts: list[Points] = []
@@ -179,15 +179,15 @@ class Ascent:
         return [self.winds.resonant_winds(), self.winds.random_winds(RANDOM, self.rng)]
 
     def report(self, rounds: int) -> None:
-        """Report the rounds done, the candidates' round included, and their largest number."""
+        """Report the rounds done, and their largest number; the candidates count as one round."""
         if self.progress:
             self.progress(rounds, self.rounds + 1)
 
     def candidates(self, winds: np.ndarray) -> Points:
-        """Points with some winds: first with the median vehicle, then with random ends of the numbers' ranges.
+        """Candidates with given winds: each wind with the median vehicle, then each wind with a random extreme vehicle.
 
-        Numbers that the search cannot move have random values instead of ends. Without uncertain numbers there is only
-        the median vehicle.
+        An extreme vehicle has a random end of each number's range, or a random value of a number that the search cannot
+        move. Without uncertain numbers there is only the median vehicle.
 
         Args:
             winds: The winds [m/s], shape (n, size, 3).
@@ -205,16 +205,16 @@ class Ascent:
         return join_points([median_points, Points(winds, corners)])
 
     def heights(self, points: Points) -> Arrays:
-        """Fly at some points, and return the height of each signal by name, shape (n,) each."""
+        """Fly at n points, and return the height of each signal by name, shape (n,) each; inf for an early end."""
         self.flown += len(points.winds)
         results = self.flights(points.winds, points.numbers)
         return {name: self.flights.signals[name].sign * results[name] for name in self.signals}
 
     def climb(self, climbs: Climbs) -> Climbs:
-        """The ends of climbs, which step in rounds towards the extreme wind of their signal's gradient.
+        """Carry out climbs in rounds, and return where they end.
 
-        A climb ends when a round improves its height by too little, or when its flight ends early, which is the worst
-        that can happen.
+        In each round every climb steps towards the extreme wind of its signal's gradient. A climb ends when a round
+        improves its height by too little, or when its flight ends early, which is the worst that can happen.
         """
         points = climbs.points
         heights = np.array(climbs.heights)
@@ -236,7 +236,7 @@ class Ascent:
         return Climbs(climbs.signals, points, heights)
 
     def best_trials(self, signals: list[str], points: Points) -> tuple[Points, np.ndarray]:
-        """Fly the trial points of a step from n points, and choose the highest for each.
+        """Fly the trial points of a step from each of n points, and choose the trial point with the largest height.
 
         Args:
             signals: The signal of each point, n names.
@@ -257,18 +257,18 @@ class Ascent:
         return trials.select(best_set * count + rows), heights_by_set[best_set, rows]
 
     def trials(self, signals: list[str], points: Points) -> list[Points]:
-        """Trial points of a step: for each point, several that lie towards the extreme of its signal's gradient.
+        """The trial points of a step from each of n points, towards the extreme wind of the signal's gradient.
 
-        The worst moment of a flight may come before its end. The last trial delays the extreme wind, so that this
-        moment comes last and more wind can precede it.
+        The worst moment of a flight may come before the end of the flight. The last trial delays the extreme wind until
+        the worst moment is at the end, so that more wind can precede it.
 
         Args:
             signals: The signal of each point, n names.
             points: The n points.
 
         Returns:
-            Sets of n points: a share of the way for each of :data:`SHARES`, the extreme wind with the present numbers,
-            and the delayed extreme wind.
+            Sets of n points each: one set for each of :data:`SHARES`, at this share of the way to the extreme wind and
+            numbers; the extreme wind with the present numbers; and the delayed extreme wind with the extreme numbers.
         """
         slopes = self.flights.with_slopes(points.winds, points.numbers, signals)
         self.differentiated += len(signals) * (len(self.flights.grid.names) + len(self.flights.numbers))
@@ -302,7 +302,7 @@ class Ascent:
 
 
 def interpolate(points: Points, extreme: Points, share: float) -> Points:
-    """Points at a share of the way from ``points``, at 0, to ``extreme``, at 1."""
+    """Points at a share of the way from ``points`` (share 0) to ``extreme`` (share 1)."""
     winds = (1.0 - share) * points.winds + share * extreme.winds
     numbers = {}
     for name, column in points.numbers.items():
@@ -311,12 +311,12 @@ def interpolate(points: Points, extreme: Points, share: float) -> Points:
 
 
 def postpone(winds: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Winds that are delayed until the last vector with an effect comes last in the flight, shape (n, size, 3).
+    """Delay winds so that the last vector with an effect comes last in the flight, shape (n, size, 3).
 
-    The vectors after it, which have no effect, move to the beginning.
+    The later vectors, which have no effect, move to the beginning of the flight.
 
     Args:
-        winds: Shape (n, size, 3).
+        winds: The winds [m/s], shape (n, size, 3).
         slopes: Derivatives of a signal by the winds, shape (n, size, 3); 0 for a vector without an effect.
     """
     delayed_winds = np.array(winds)

@@ -49,7 +49,15 @@ class WindGrid(NamedTuple):
 
     @classmethod
     def of(cls, study: Study, segments: int, smooth: bool) -> "WindGrid":
-        """The grid that divides a study's flight into at most ``segments`` segments of whole samples."""
+        """The grid that divides a study's flight into at most ``segments`` segments of whole samples.
+
+        A smooth grid has :data:`BEYOND` further knots.
+
+        Args:
+            study: The study, for its number of samples and its sample time.
+            segments: Largest number of segments.
+            smooth: Whether the vectors are the knots of a spline.
+        """
         samples = math.ceil(study.loop.steps / segments)  # in a segment
         count = math.ceil(study.loop.steps / samples)
         size = count + BEYOND if smooth else count
@@ -57,7 +65,7 @@ class WindGrid(NamedTuple):
 
     @property
     def times(self) -> np.ndarray:
-        """Times of the vectors [s], shape (size,); the first knot of a spline lies before the flight."""
+        """Times of the vectors [s], shape (size,); the first knot of a spline lies one interval before the flight."""
         first = -1.0 if self.smooth else 0.0  # in intervals
         return (np.arange(self.size) + first) * self.interval
 
@@ -73,7 +81,7 @@ class WindGrid(NamedTuple):
         """The table ``[wind]`` of a study that flies in a wind of this grid.
 
         Args:
-            columns: Values or laws of w_x, w_y and w_z at the times, ``size`` of each.
+            columns: Values or laws of w_x, of w_y and of w_z at the times, ``size`` entries each.
         """
         components = {axis: list(column) for axis, column in zip(AXES, columns, strict=True)}
         if self.smooth:
@@ -109,7 +117,7 @@ class Signal(NamedTuple):
 
 @dataclass
 class WindFlights:
-    """A study that is compiled once, and then flies in any winds and with any values of its uncertain numbers.
+    """A study that is compiled once, and then simulated in any winds and with any values of its uncertain numbers.
 
     The study's own wind, sweep, metrics and requirements are replaced. All flights have the in-loop noise of draw 0.
 
@@ -129,7 +137,7 @@ class WindFlights:
     compiled_study: Study = field(init=False)
 
     def __post_init__(self) -> None:
-        """Compile the flights without and with derivatives by every number of the wind and of the vehicle."""
+        """Prepare two programs: one without derivatives, one with derivatives by every number of wind and vehicle."""
         self.compiled_study = flying_study(self.study, self.grid)
         self.signals = {measure.name: Signal.of(measure) for measure in self.compiled_study.measures}
         self.numbers = [name for name in self.compiled_study.laws if not name.startswith("wind.")]
@@ -146,7 +154,8 @@ class WindFlights:
             numbers: Value of each uncertain number, shape (n,) each.
 
         Returns:
-            Each signal's value, and ``outcome``, shape (n,) each. A flight that ends early has the worst value, +-inf.
+            The value of each signal by name, and ``outcome``, shape (n,) each. A flight that ends early has the worst
+            value of every signal, inf or -inf.
         """
         draws = np.zeros(len(winds), int)  # the noise of draw 0
         results = self._plain(draws, self.grid.values(winds) | dict(numbers))
@@ -157,7 +166,7 @@ class WindFlights:
         return values
 
     def with_slopes(self, winds: np.ndarray, numbers: Mapping[str, np.ndarray], names: Sequence[str]) -> "Slopes":
-        """Fly once in each wind, and differentiate a signal of each flight by the wind and the numbers.
+        """Fly once in each wind, and differentiate one signal of each flight by the wind and the uncertain numbers.
 
         Args:
             winds: The winds [m/s], shape (n, size, 3).
@@ -171,7 +180,7 @@ class WindFlights:
         results = self._with_gradients(draws, self.grid.values(winds) | dict(numbers))
 
         def slopes_by(number: str) -> np.ndarray:
-            """Derivative of each flight's signal by a number, shape (n,)."""
+            """Derivative of each flight's own signal by a number, shape (n,); 0 in place of NaN."""
             slopes = [results[Derivative(name, number)][flight] for flight, name in enumerate(names)]
             return np.nan_to_num(np.array(slopes))
 
@@ -181,7 +190,7 @@ class WindFlights:
 
 
 class Slopes(NamedTuple):
-    """Derivatives of a signal of each flight, which may be another signal for each.
+    """Derivatives of one signal of each of n flights; the signal may differ between flights.
 
     Args:
         wind: Derivatives by the vectors of the wind, shape (n, size, 3).
@@ -204,7 +213,13 @@ def require_certain_wind(study: Study) -> None:
 
 
 def flying_study(study: Study, grid: WindGrid) -> Study:
-    """The study with a table of free numbers as its wind, and with the signals as its metrics.
+    """The study with a wind of free numbers on a grid, and with all signals as its metrics.
+
+    The tables in :data:`REPLACED`, which do not matter for a single flight, are removed.
+
+    Args:
+        study: The study.
+        grid: Times at which the wind has vectors.
 
     Raises:
         ConfigError: The plant does not fly, or a number of its wind is uncertain.
@@ -273,11 +288,11 @@ def fly_winds(
 
 
 def grid_of_winds(study: Study, shape: tuple[int, ...], smooth: bool) -> WindGrid:
-    """The grid on which winds of a shape lie.
+    """The grid of times that belongs to winds given as an array.
 
     Args:
         study: The study.
-        shape: Shape of the winds.
+        shape: Shape of the array, (flights, vectors, 3).
         smooth: Whether the vectors are the knots of a spline.
 
     Raises:

@@ -37,7 +37,7 @@ class Limits(NamedTuple):
 
 
 def bounded_vectors(vectors: np.ndarray, horizontal: float, vertical: float) -> np.ndarray:
-    """Vectors whose horizontal part is shortened, and whose vertical part is cut, to bounds, shape (..., 3).
+    """Vectors with the horizontal part shortened to a bound and the vertical part clipped to another, shape (..., 3).
 
     Args:
         vectors: Vectors (x, y, z), shape (..., 3).
@@ -69,7 +69,7 @@ class WindSet:
         return np.inf if self.limits.rate is None else self.limits.rate * self.grid.interval
 
     def follow(self, winds: np.ndarray) -> np.ndarray:
-        """Winds within the bounds that follow any winds as fast as the rate allows, shape (n, size, 3).
+        """Winds within the bounds that follow given winds as fast as the rate allows [m/s], shape (n, size, 3).
 
         Args:
             winds: The winds to follow [m/s], shape (n, size, 3).
@@ -84,9 +84,10 @@ class WindSet:
         return followed
 
     def resonant_winds(self) -> np.ndarray:
-        """Winds that swing along a line with a period, shape (n, size, 3); the vertical wind swings or is constant.
+        """Winds that swing periodically along a horizontal line [m/s], shape (n, size, 3).
 
-        The lines divide half a circle. The periods are even in the logarithm, from two intervals to twice the flight.
+        The vertical wind swings with them or is constant. The lines divide half a circle evenly. The periods are evenly
+        spaced in the logarithm, from two intervals to twice the flight.
         """
         times = np.arange(self.grid.size) * self.grid.interval
         periods = np.geomspace(2.0 * self.grid.interval, 2.0 * times[-1] + self.grid.interval, PERIODS)
@@ -102,12 +103,12 @@ class WindSet:
         return self.follow(np.stack(winds))
 
     def _swinging_wind(self, swing: np.ndarray, angle: float, lift: np.ndarray) -> np.ndarray:
-        """The wind at its bounds that swings along a horizontal line [m/s], shape (size, 3).
+        """One wind that swings along a horizontal line between the bounds [m/s], shape (size, 3).
 
         Args:
-            swing: Horizontal wind along the line relative to its bound, over time, shape (size,).
+            swing: Horizontal wind along the line over time, relative to the bound of the speed, shape (size,).
             angle: Direction of the line [rad].
-            lift: Vertical wind relative to its bound, over time, shape (size,).
+            lift: Vertical wind over time, relative to its bound, shape (size,).
         """
         horizontal = self.limits.speed * swing
         vertical = self.limits.vertical * lift
@@ -116,7 +117,7 @@ class WindSet:
     def random_winds(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Random winds that switch at random times to random extremes [m/s], shape (count, size, 3).
 
-        The mean time between two switches is random, too, from an interval to the whole flight.
+        The mean time between two switches is random for each wind, from one interval to the whole flight.
         """
         size = self.grid.size
         chances = np.exp(rng.uniform(-np.log(size), 0.0, (count, 1)))  # of a switch at each time, from 1/size to 1
@@ -131,13 +132,14 @@ class WindSet:
         return self.follow(np.stack([x, y, z], axis=2))
 
     def extreme_winds(self, slopes: np.ndarray, current_winds: np.ndarray) -> np.ndarray:
-        """The winds of the set that maximise the scalar product with slopes [m/s], shape (n, size, 3).
+        """The winds of the set with the largest scalar products with slopes [m/s], shape (n, size, 3).
 
-        They are the worst winds of a linear loop, whose signal has these slopes.
+        They are the worst winds for a linear loop whose signal has these slopes.
 
         Args:
             slopes: Derivatives of a signal by the winds, shape (n, size, 3).
-            current_winds: Winds that stay where a slope is 0 and the rate is not bounded, shape (n, size, 3).
+            current_winds: The present winds [m/s], shape (n, size, 3). If the rate is not bounded, they stay where a
+                slope is 0.
         """
         if self.limits.rate is not None:
             return np.stack([self._extreme_spline(slope) for slope in slopes])
@@ -154,7 +156,8 @@ class WindSet:
     def _extreme_spline(self, slope: np.ndarray) -> np.ndarray:
         """Knots of the spline with a bounded rate that maximises the scalar product with a slope, shape (size, 3).
 
-        Two linear programs find the knots, with a polygon in place of the circle of horizontal winds.
+        One linear program finds the horizontal components, with a polygon in place of the circle that bounds them, and
+        another the vertical component.
 
         Args:
             slope: Derivatives of a signal by the knots, shape (size, 3).
@@ -167,9 +170,10 @@ class WindSet:
 
     @cached_property
     def _polygon(self) -> np.ndarray:
-        """Normals of a polygon's sides over their distance from the centre, shape (SIDES, 2).
+        """Normals of the sides of a regular polygon, each divided by its side's distance from the centre.
 
-        The corners of the polygon lie on the circle of radius 1.
+        The shape is (SIDES, 2). The corners of the polygon lie on the circle of radius 1. A point x is inside if
+        n.x <= 1 for each row n.
         """
         angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
         return np.column_stack([np.cos(angles), np.sin(angles)]) / np.cos(np.pi / SIDES)
@@ -177,13 +181,14 @@ class WindSet:
     def _extreme_knots(self, slope: np.ndarray, bound: float, normals: np.ndarray) -> np.ndarray:
         """Knots that maximise the scalar product with a slope, by a linear program, shape (size, components).
 
-        The polygon scaled by the bound contains each knot. The polygon scaled by the largest step contains the
-        difference of two neighbours.
+        The constraints are that each knot lies in the polygon scaled by the bound, and the difference of neighbouring
+        knots in the polygon scaled by the largest step.
 
         Args:
-            slope: Derivatives by the knots, shape (size, components).
+            slope: Derivatives of the signal by the knots, shape (size, components).
             bound: Bound of a knot [m/s].
-            normals: Normals of the polygon's sides, over their distances from the centre, shape (sides, components).
+            normals: Normals of the polygon's sides, each divided by its side's distance from the centre, shape
+                (sides, components).
         """
         count = self.grid.size
         identity = sparse.eye_array(count)

@@ -73,7 +73,7 @@ class WorstWind(Analysis):
         limits: The bounds of the wind.
         interval: Time between two vectors [s].
         flights: Number of flights in given winds.
-        slopes: Number of flights with the derivative by one number.
+        slopes: Number of derivatives: flights, times the numbers by which each was differentiated.
         seconds: Computing time [s].
     """
 
@@ -105,7 +105,7 @@ class WorstWind(Analysis):
         return np.stack([row[f"wind_{axis}"].values for axis in AXES], axis=1)
 
     def numbers(self, signal: str) -> dict[str, float]:
-        """Value of each uncertain number in the worst flight of a signal."""
+        """Value of each uncertain number in the worst flight of a signal, by dotted name."""
         row = self._row(signal)
         return {name: float(row[name]) for name in self.study.laws}
 
@@ -120,7 +120,7 @@ class WorstWind(Analysis):
         return study_of_draw(Study.from_table(table, self.study.source), self.numbers(signal))
 
     def _row(self, signal: str) -> xr.Dataset:
-        """The part of the dataset for a signal.
+        """The part of the dataset that belongs to a signal.
 
         Raises:
             ConfigError: The signal was not searched for.
@@ -131,7 +131,7 @@ class WorstWind(Analysis):
 
     @property
     def headline(self) -> str:
-        """The effect of the worst wind on the first signal, in one line."""
+        """The effect of the worst wind found on the first signal, in one line."""
         first = self.answer.signals[0]
         if first.worst is None:
             effect = "ends the flight early"
@@ -188,14 +188,14 @@ def worst_wind(
 ) -> WorstWind:
     """Find the wind within the bounds of a study's wind that drives each signal to its worst value.
 
-    Candidates are winds that swing along a line with a period, which resonate with the loop, and winds that switch to
-    random extremes. From the two worst of either kind for each signal, a climb steps towards the extreme wind of the
-    signal's gradient. Uncertain numbers of the study move, too, within the support of their laws; a choice keeps its
-    value.
+    Candidates are winds that swing along a line with a period, which may resonate with the loop, and winds that switch
+    to random extremes. For each signal, climbs start at the two worst candidates of either kind. A climb steps towards
+    the extreme wind of the signal's gradient. Uncertain numbers of the study move, too, within the support of their
+    laws; a number with a choice of values keeps its value.
 
     Args:
-        study: The study. Its wind declares its bounds; with ``kind = "bounded"`` they are its parameters. Its own sweep
-            is ignored, and all flights have the in-loop noise of draw 0.
+        study: The study, whose wind declares its bounds; with ``kind = "bounded"`` the parameters of the wind are the
+            bounds. The study's sweep is ignored, and all flights have the in-loop noise of draw 0.
         signals: Metrics of a flight, see :func:`dssc_jax.fly_winds`: the largest |e|, |e'| and |sigma| of each channel,
             the largest tilt, the largest and the smallest thrust of a rotor. None: all but |e'|.
         segments: Parts of the flight, of whole samples; a wind may change between two.
@@ -284,10 +284,10 @@ def switching_winds(study: Study, count: int, *, segments: int = SEGMENTS, seed:
 
 
 def wind_limits(study: Study) -> Limits:
-    """The bounds of a study's wind, which must be certain numbers.
+    """The bounds that a study's wind declares; they must be certain numbers.
 
     Raises:
-        ConfigError: The bounds are not known, or uncertain, or the wind never blows.
+        ConfigError: The wind declares no bounds, they are uncertain, or both are 0, so that the wind never blows.
     """
     require_certain_wind(study)
     bounds = study.loop.wind.bounds
