@@ -46,9 +46,10 @@ def program_cost(program: Program) -> StepCost:
 
 
 class OperationCount:
-    """Counts the operations of a program.
+    """Counts the operations of a program, and finds the longest chain of operations that wait for each other.
 
-    The depth of a value is the length of the longest chain of operations that it needs, its own included.
+    The depth of a value is the length of the longest chain of operations that leads to it, including the operation
+    that computes the value.
 
     Args:
         program: The program.
@@ -65,7 +66,7 @@ class OperationCount:
 
         Args:
             block: The block.
-            start: Depth at which its first operations can begin.
+            start: Depth of what the block waits for, such as the condition of a branch.
         """
         counts: Counter[str] = Counter()
         for node in block.nodes:
@@ -105,7 +106,10 @@ class OperationCount:
         return max([start, *(self.depths.get(id(value), 0) for value in values)])
 
     def finish(self, results: Iterable[Value], depth: int) -> None:
-        """Set the depth of the results of a loop or branch."""
+        """Set the depth of the results of a loop or branch.
+
+        A loop or branch gives all its results together, once its deepest value is computed.
+        """
         self.depths.update({id(result): depth for result in results})
 
 

@@ -37,7 +37,10 @@ def file_comment(code: FlightCode) -> list[str]:
 
 
 def missing_parts(study: Study) -> list[str]:
-    """The parts of the loop that a flight needs beside the generated code, in words."""
+    """The parts of the loop that a flight needs beside the generated code, in words.
+
+    The plant's software on board is among them unless it is generated, too, which needs a period of its own.
+    """
     software = study.loop.plant.software
     generated = software is not None and software.period(study.template.plant) is not None
     return [
@@ -49,7 +52,12 @@ def missing_parts(study: Study) -> list[str]:
 
 
 def declarations(study: Study, controller: SampledController) -> str:
-    """The declarations in C of the structures and functions of one channel."""
+    """The declarations in C of the structures and functions of one channel.
+
+    Args:
+        study: The study.
+        controller: The controller of the channel.
+    """
     units = study.units[controller.index]
     command = units.command
     reference_units = (units.output, f"{units.output}/s", f"{units.output}/s^2")
@@ -81,6 +89,11 @@ def member_text(kind: str, name: str, explanation: str) -> str:
     """The declaration in C of a member of a structure, with an explanation as its comment.
 
     Marks in the explanation that would end the comment are broken up; characters beyond ASCII become ?.
+
+    Args:
+        kind: Type in C.
+        name: Name of the member.
+        explanation: Text of the comment; empty: no comment.
     """
     if not explanation:
         return f"{kind} {name};"

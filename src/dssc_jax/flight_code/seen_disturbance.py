@@ -42,14 +42,14 @@ class SeenDisturbance(NamedTuple):
     """State of the enclosure between two samples.
 
     Args:
-        y: Output at the last sample.
-        y_dot: Rate of the output at the last sample.
+        y: Output at the last sample at which it was measured.
+        y_dot: Rate of the output at that sample.
         fresh: 1 if y and y' were measured at the last sample, else 0.
         commands: Earlier commands that the delay holds back, latest first.
         lags: Output of each lag.
         acting: Mean of v, the command after delay and lags, over the sample that begins.
         average: The low-pass F of the disturbance.
-        averaging: 1 if ``average`` has a value, else 0.
+        averaging: 1 if ``average`` can be continued, else 0; a missing measurement ends it.
     """
 
     y: Scalar
@@ -75,7 +75,12 @@ def roundings() -> float:
 
 
 def averaging_time(premises: DisturbancePremises, dt: float) -> float:
-    """The time constant tau [s] of the average."""
+    """The time constant tau [s] of the average.
+
+    Args:
+        premises: The bounds, with the largest time constant of the lags.
+        dt: T_s [s].
+    """
     return LAGS_AVERAGED * max(dt, premises.lag_order * premises.mu[1])
 
 
@@ -106,15 +111,15 @@ def see(
 ) -> tuple[SeenDisturbance, SeenFlags]:
     """Enclose the disturbance of the last sample, and compare it with the bounds of the premises.
 
-    Its size is compared if this sample and the last were both measured; its slope also needs an average of earlier
-    samples.
+    The size of the disturbance is compared if y and y' were measured at this sample and at the last one. Its slope is
+    compared if, in addition, there is an average of earlier samples. A missing measurement restarts the average.
 
     Args:
         premises: The plant's intervals, and the bounds of the disturbance.
         state: The state before this sample.
         y: Output; any number if it was not measured.
-        y_dot: Rate of the output.
-        measured: Whether both were measured.
+        y_dot: Rate of the output; any number if it was not measured.
+        measured: Whether y and y' were both measured.
         command: The controller's command from this sample on.
         dt: T_s [s].
 
@@ -125,6 +130,7 @@ def see(
     seen = mean_disturbance(premises, state, y, y_dot, dt)
     averaged = resumed & jnp.greater(state.averaging, 0.0)
     weight = dt / (averaging_time(premises, dt) + dt)
+    # dt/weight = tau + T_s; the low-pass adds up roundings over about 1/weight samples
     allowed = dt / weight * premises.slope + roundings() / weight * (jnp.abs(seen.low) + jnp.abs(seen.high))
     rises = jnp.greater(seen.low - state.average.high, allowed)
     falls = jnp.less(seen.high - state.average.low, -allowed)
@@ -156,8 +162,8 @@ def mean_disturbance(
 ) -> EnclosingInterval:
     """The interval of the mean of d since the last sample, for all k_p and a_p within their intervals.
 
-    (A + a_p B)/k_p has its extremes where k_p and a_p are both at an end of their intervals. Arguments as of
-    :func:`see`.
+    With the changes A of y' and B of y per second, mean d = (A + a_p B)/k_p - mean v. The quotient has its extremes
+    where k_p and a_p are both at an end of their intervals. The arguments are those of :func:`see`.
     """
     change = (y_dot - state.y_dot) / dt
     speed = (y - state.y) / dt
@@ -211,7 +217,8 @@ def acting_command(
 def between(held: EnclosingInterval, *parts: tuple[EnclosingInterval, Interval]) -> EnclosingInterval:
     """held + the sum of ratio (x - held) over parts (x, ratio), which rises with held and with every x.
 
-    So the ends of the result follow from the ends of the intervals.
+    The lower end of the result therefore follows from the lower ends of all intervals, and the upper end from the upper
+    ends. Each ratio takes the end of its interval that makes the result wider.
 
     Args:
         held: Interval of the input over the sample.
@@ -241,7 +248,14 @@ class LagRatios(NamedTuple):
 
 
 def lag_ratios(premises: DisturbancePremises, dt: float) -> LagRatios:
-    """The intervals of the ratios; the first two fall with h, the others rise to a single peak."""
+    """The intervals of the ratios; the first two fall with h, the others rise to a single peak.
+
+    If the peak lies within the interval of h, it is the upper end of the ratio's interval.
+
+    Args:
+        premises: The interval of the lag's time constant mu.
+        dt: T_s [s].
+    """
     ends = (dt / premises.mu[1], dt / premises.mu[0])
     decay = tuple(math.exp(-h) for h in ends)
     mean = tuple(-math.expm1(-h) / h for h in ends)

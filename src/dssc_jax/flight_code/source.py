@@ -32,13 +32,15 @@ COMPUTED = [f"computed.{member}" for member in COMMAND]
 
 
 class FunctionText(CText):
-    """The text in C of one function of a controller; ``text`` is empty until the function is complete.
+    """The text in C of one function of a controller.
+
+    The statements of the body are collected first. ``text``, the whole function, is empty until it is complete.
 
     Args:
         code: The controllers of the study.
         controller: The controller.
         traced: The traced function.
-        inputs: C's expressions of the inputs between parameters and signals.
+        inputs: C's expressions of the function's inputs that come after the parameters and before the signals.
     """
 
     def __init__(
@@ -46,6 +48,7 @@ class FunctionText(CText):
     ) -> None:
         """Begin without statements; the sample time is written as T_s, unless other constants may equal it."""
         sample_time = code.study.loop.sample_time
+        # a constant 0.5 in the program may be a factor of a formula and not T_s
         is_common_number = sample_time in (0.5, 1.0, 2.0)
         constants = {} if is_common_number else {float(controller.real.type(sample_time)): "T_s"}
         parameters = [f"p->{parameter.name}" for parameter in controller.parameters]
@@ -55,7 +58,12 @@ class FunctionText(CText):
         self.text = ""
 
     def assign(self, members: Sequence[str], outputs: Sequence[Value]) -> None:
-        """Write assignments of outputs to members of a structure."""
+        """Write assignments of outputs to members of a structure.
+
+        Args:
+            members: C's expressions of the members.
+            outputs: The output for each member.
+        """
         for member, output in zip(members, outputs, strict=True):
             self.line(f"{member} = {self.read(output)};")
 
@@ -153,6 +161,10 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
     """The function in C for one sample.
 
     It computes telemetry only if the caller asks for it, and stores no result unless all are finite.
+
+    Args:
+        code: The controllers of the study.
+        controller: The controller.
     """
     name = controller.prefix
     function = FunctionText(code, controller, controller.step, [f"before.{state}" for state in controller.states])
@@ -197,6 +209,11 @@ def transfer_function(code: FlightCode, controller: SampledController, traced: T
     """The function in C for a bumpless start: it sets the state with which the first step gives a wanted command.
 
     It computes that step, too, and returns the flag 4 if the step gives another command.
+
+    Args:
+        code: The controllers of the study.
+        controller: The controller.
+        traced: The traced transfer.
     """
     function = FunctionText(code, controller, traced, ["command"])
     updated_members = [f"updated.{state}" for state in controller.states]

@@ -74,7 +74,11 @@ def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
 
 
 def typed(state: MonitorState) -> MonitorState:
-    """The state with arrays in place of plain numbers: integers stay integers, others get the present precision."""
+    """The state with arrays in place of plain numbers: integers stay integers, others get the present precision.
+
+    Args:
+        state: The state, whose leaves may be numbers of Python.
+    """
 
     def array(leaf: Scalar) -> jax.Array:
         value = jnp.asarray(leaf)

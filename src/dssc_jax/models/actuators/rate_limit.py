@@ -34,12 +34,19 @@ def follow(params: RateLimitParams, state: tuple[Scalar], start: Scalar, end: Sc
 
     The output moves towards the command at the largest rate. If it meets the command within dt, it then moves with the
     command, or falls behind it if the command is faster.
+
+    Args:
+        params: The largest rate.
+        state: The output at the start of the step, alone.
+        start: Command at the start of the step [u].
+        end: Command at its end [u].
+        dt: Length of the step [s].
     """
     (z,) = state
     slope = (end - start) / dt
     gap = start - z
     reach = params.rate * dt
-    closing_rate = jnp.where(gap > 0.0, params.rate - slope, params.rate + slope)  # of the gap [u/s]
+    closing_rate = jnp.where(gap > 0.0, params.rate - slope, params.rate + slope)  # rate at which the gap closes [u/s]
     is_met = jnp.abs(gap) < closing_rate * dt
     meeting_time = jnp.where(is_met, jnp.abs(gap) / jnp.where(is_met, closing_rate, 1.0), 0.0)
     after_meeting = start + slope * meeting_time + saturate(slope, params.rate) * (dt - meeting_time)
@@ -50,8 +57,9 @@ def follow(params: RateLimitParams, state: tuple[Scalar], start: Scalar, end: Sc
 def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> Moments:
     """The straight line with the mean and the first moment of the output over dt [s], with a constant command.
 
-    The output is a ramp that ends at the command, after the share s of dt, and then stays there; s = 1 if it does not
-    get there. With its change d over dt, its mean is the final value less s d/2, and the line rises by s (3 - 2 s) d.
+    The output is a ramp that reaches the command after the share s of dt, and then stays there; s = 1 if it does not
+    reach the command within dt. Let d be the change of the output over dt. The mean of the output is its final value
+    less s d/2, and the straight line rises by s (3 - 2 s) d.
     """
     (z,) = state
     reach = params.rate * dt
@@ -63,7 +71,7 @@ def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: 
 def without_rate_limit(params: RateLimitParams) -> tuple[Unmodelled, RateLimitParams]:
     """The part that is linearised in place of the limit: an infinite rate, so that the output is the command.
 
-    It stands for commands that are slower than the limit.
+    It stands for the actuator under commands that are slower than the limit.
     """
     return RATE_LIMIT, RateLimitParams(jnp.inf)
 
