@@ -90,6 +90,7 @@ def declared_quantity(params: Any, path: str, units: ChannelUnits) -> Quantity |
         params: The loop's parameters.
         path: The number's path: names of fields and positions in tuples, with dots between them.
         units: Units of y and u in the channel.
+
     Returns:
         The quantity in the units of a channel; None if the field declares none, as the field of a matrix.
     """

@@ -87,7 +87,7 @@ def system(params: RationalActuatorParams) -> LinearSystem:
     leading = params.denominator[0]
 
     def rising(coefficients: tuple[Scalar, ...]) -> list[Scalar]:
-        """Coefficients in rising powers of s' = unit s, divided by the denominator's leading one times unit^-order."""
+        """Coefficients in rising powers of s' = unit s, divided by the denominator's leading coefficient there."""
         scaled: list[Scalar] = [0.0] * (order + 1)
         for power, coefficient in enumerate(reversed(coefficients)):
             scaled[power] = 0.0 if is_zero(coefficient) else coefficient / leading * params.unit ** (order - power)

@@ -31,7 +31,8 @@ def limited_command(params: SaturationParams, command: Scalar) -> Scalar:
 def without_limit(params: SaturationParams) -> tuple[Unmodelled, SaturationParams]:
     """The part that is linearised in place of the saturation: infinite limits, which make a gain of 1.
 
-    It stands for the actuator under commands within the limits. A missing ``low`` stays missing, because it means -limit.
+    It stands for the actuator under commands within the limits. A missing ``low`` stays missing, because it stands for
+    -limit.
     """
     return SATURATION, SaturationParams(jnp.inf, None if params.low is None else -jnp.inf)
 

@@ -1,11 +1,16 @@
 """The state-dependent functions k_o, tau_av, tau_m of (sigma, e): the rows of Table 2, Section V and Table 1.
 
-Each row is a NamedTuple of its constants with two methods. ``at(sigma, e, l0)`` gives the functions. In sliding only
-the product k_o tau_av and tau_m matter (22); rows that define only the product take one of k_o or tau_av, and the other
-follows. ``law(sigma, e, at)`` gives the control law that (22) synthesises, integrated. ``sampled_form`` is the form in
-which DSSC is sampled unless the study says otherwise. ``tunable`` names the two constants that a comparison tunes,
-``finite_slope`` tells whether phi_1 has a finite slope at 0, and ``super_twisting()`` is the STA that the row
-approximates. r = |sigma|^(1/2) throughout.
+Each row is a NamedTuple of its constants, with these methods and attributes:
+
+* ``at(sigma, e, l0)`` gives the values of the functions. In sliding only the product k_o tau_av and tau_m matter (22).
+  A row that defines only the product takes one of k_o and tau_av, and the other follows.
+* ``law(sigma, e, at)`` gives the control law that (22) synthesises, integrated.
+* ``super_twisting()``, if the row has it, gives the STA that the row approximates.
+* ``sampled_form`` is the form in which DSSC is sampled unless the study says otherwise.
+* ``tunable`` names the two constants that a comparison tunes.
+* ``finite_slope`` tells whether phi_1 has a finite slope at 0.
+
+r = |sigma|^(1/2) throughout.
 
 In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
@@ -64,7 +69,8 @@ class Constant(NamedTuple):
 class StandardSta(NamedTuple):
     """The functions that synthesise the standard STA.
 
-    They are stiff, because k_o tau_av and tau_m vanish with sigma; r counts as at least ``ROOT_FLOOR`` there.
+    The loop is stiff with them, because k_o tau_av and tau_m go to 0 with sigma. An r below ``ROOT_FLOOR`` counts as
+    ``ROOT_FLOOR``, so that nothing is divided by 0.
     """
 
     kappa1: Annotated[Scalar, KAPPA_1]
@@ -98,7 +104,7 @@ class StandardSta(NamedTuple):
 class ApproximateSta1(NamedTuple):
     """The functions of the first approximation of the STA.
 
-    They are smooth also at sigma = 0, where tau_m = 2 delta kappa1/kappa2.
+    These functions are smooth at sigma = 0, too, where tau_m = 2 delta kappa1/kappa2.
     """
 
     kappa1: Annotated[Scalar, KAPPA_1]
@@ -332,9 +338,9 @@ class Vgsta(NamedTuple):
         """The variable-gain STA's own: kappa_1 phi_1 and kappa_2 phi_2 of (26).
 
         The law is kappa_1 phi_1 + integral of kappa_2 phi_2, with phi_1 and phi_2 of (26). Its first term stands for
-        phi_1 of :class:`IntegratedLaw`. tau_m also holds the part of d(kappa_1 phi_1)/dt that comes from e' = sigma -
-        l0 e. It belongs to the first term, so that kappa_2 phi_2 = kappa_2 phi_1' phi_1 is left. ``at`` is not needed
-        here.
+        phi_1 of :class:`IntegratedLaw`, and the rate is kappa_2 phi_2 over the first term. tau_m also contains the part
+        of d(kappa_1 phi_1)/dt that comes from e' = sigma - l0 e. This part belongs to the first term, so the second
+        term is kappa_2 phi_2 = kappa_2 phi_1' phi_1 alone. ``at`` is not needed here.
         """
         gains = self.gains(sigma, e)
         ratio, slope = self.ratio(sigma)

@@ -82,8 +82,8 @@ Rows = tuple[Row, ...]
 class LqgModel(NamedTuple):
     """The linear model x' = A x + b u + E w, y = c x, s = C x + D u that a study states for the design.
 
-    It is in continuous time, and its signals are deviations from the operating point. ``signals`` and ``feedthrough``
-    are C and D, and ``disturbances`` the columns of E.
+    The model is in continuous time, and its signals are deviations from the operating point. The field ``signals`` is
+    C, ``feedthrough`` is D, and ``disturbances`` are the columns of E.
     """
 
     a: Annotated[Rows, MODEL_A]
@@ -181,7 +181,7 @@ def correction_matrix(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) ->
         ConfigError: There are too many or too few numbers, or the measured signals do not show a mode of A.
     """
     count = plant.disturbances.shape[1]
-    quiet_inputs = (0.0,) * (count - len(gains.disturbance_std))  # the named inputs that are left out
+    quiet_inputs = (0.0,) * (count - len(gains.disturbance_std))  # no noise at named inputs that the study leaves out
     disturbance_std = np.array(numbers_or_zeros("disturbance_std", (*gains.disturbance_std, *quiet_inputs), count))
     state_variance = np.diag(np.square(numbers_or_zeros("state_std", gains.state_std, len(plant.a))))
     process_covariance = plant.disturbances @ np.diag(disturbance_std**2) @ plant.disturbances.T + state_variance
@@ -201,7 +201,13 @@ def numbers_or_zeros(name: str, values: Row, count: int) -> tuple[float, ...]:
 
 
 def require_lengths(name: str, rows: Rows, count: int) -> None:
-    """Require ``count`` numbers in each row of a matrix of the table ``model``; raises ConfigError."""
+    """Require ``count`` numbers in each row of a matrix of the table ``model``; raises ConfigError.
+
+    Args:
+        name: Name of the matrix in the table.
+        rows: The matrix, row by row.
+        count: Required number of columns.
+    """
     for row in rows:
         if len(row) != count:
             raise ConfigError(f"model.{name}", f"must have {count} numbers in a row, got {len(row)}")
@@ -211,6 +217,10 @@ def plant_of_model(model: LqgModel, setting: LoopSetting) -> NominalPlant:
     """The plant of the table ``model``; raises ConfigError if the sizes of its matrices do not fit.
 
     Without columns of disturbances, a disturbance acts as the command does.
+
+    Args:
+        model: The table.
+        setting: What the loop states: its measured signals and the names of the plant's inputs.
     """
     order = len(model.a)
     columns = model.disturbances or (model.b,)
@@ -256,6 +266,10 @@ def require_signal_stds(gains: LqgGains, count: int, measures: tuple[str, ...]) 
 def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
     """The gains with the regulator and the filter of the nominal plant, or of the table ``model`` if there is one.
 
+    Args:
+        gains: Weights and standard deviations of the design.
+        setting: The nominal plant, the sample time and the measured signals of the loop.
+
     Raises:
         ConfigError: There is no linear plant, numbers do not fit its sizes, or a Riccati equation has no solution.
     """
@@ -291,7 +305,10 @@ def plain_rows(matrix: np.ndarray) -> Rows:
 
 
 def init(gains: LqgGains, measurement: Measurement, reference: ReferencePoint) -> LqgState:
-    """The state at the first sample: predicted state, integral and last command are 0."""
+    """The state at the first sample: predicted state, integral and last command are 0.
+
+    The controller does not use the first measurement and reference.
+    """
     return LqgState(predicted=(0.0,) * len(gains.input), integral=0.0, command=0.0)
 
 
@@ -339,7 +356,8 @@ def transfer(
 ) -> LqgState:
     """The integral that gives a command, with a state that the measurement does not correct; 0 without integral.
 
-    The first step from the returned state gives the command, for a bumpless start.
+    Without an integral gain the integral is 0. With one, the first step from the returned state gives the command, for
+    a bumpless start: the command without integral and limits shows what the integral must add.
     """
     start = init(gains, measurement, reference)
     _, unlimited, _ = step(gains._replace(low=None, high=None), start, measurement, reference, dt)

@@ -104,8 +104,13 @@ class NormBound(NamedTuple):
 
         Between samples |C_eta eta| may exceed eta_bar by O(T_s), which delta_rho must cover.
 
+        Args:
+            state: eta_bar before the sample [y/s^2].
+            signals: The signals in the bound.
+            dt: T_s [s].
+
         Returns:
-            The next eta_bar, and rho.
+            The next eta_bar [y/s^2], and rho [u].
         """
         assert self.observer_rate is not None  # held by prepare
         assert self.observer_gain is not None

@@ -39,7 +39,10 @@ class PiInfo(NamedTuple):
 
 
 def init(gains: PiGains, measurement: Measurement, reference: ReferencePoint) -> PiState:
-    """The state at the first sample: the integral is 0."""
+    """The state at the first sample: the integral is 0.
+
+    The controller does not use the first measurement and reference.
+    """
     return PiState(0.0)
 
 

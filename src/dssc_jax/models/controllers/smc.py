@@ -41,12 +41,19 @@ class NoInfo(NamedTuple):
 
 
 def init(gains: SmcGains, measurement: Measurement, reference: ReferencePoint) -> tuple[()]:
-    """The state: none."""
+    """The state: none.
+
+    The controller does not use the first measurement and reference.
+    """
     return ()
 
 
 def relay_balance(gains: SmcGains) -> HarmonicBalance:
-    """The relay's side of the harmonic balance N(A) = q, with its real describing function N = 4 K/(pi A)."""
+    """The relay's side of the harmonic balance N(A) = q, with its real describing function N = 4 K/(pi A).
+
+    ``amplitude`` is the A [y/s] with N(A) = Re q. The describing function is real, so that the imaginary part of q is
+    the residual, which must be 0 at an oscillation.
+    """
     gain = float(gains.gain)
     return HarmonicBalance(
         amplitude=lambda q: 4.0 * gain / (math.pi * q.real),

@@ -72,14 +72,18 @@ class FeedbackInfo(NamedTuple):
 
 
 def init(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint) -> FeedbackState:
-    """The state at the first sample: the integral part of the command is 0."""
+    """The state at the first sample: the integral part of the command is 0.
+
+    The controller does not use the first measurement and reference.
+    """
     return FeedbackState(0.0)
 
 
 def proportional_part(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint) -> Scalar:
     """-(u - its integral part): k_1 (y - y_m) + k_2 (y' - y_m') + k (s - s_0) - f (y_m - y_0) - u_0.
 
-    Its terms that are known to be 0 before tracing are left out of the program.
+    It is the negative of the command without its integral part. A term that is known to be 0 before tracing is left out
+    of the program.
     """
     total = gains.k_1 * (measurement.y - reference.y) + gains.k_2 * (measurement.y_dot - reference.y_dot)
     if gains.signals:

@@ -52,12 +52,13 @@ def levant_step(
 ) -> tuple[LevantState, Measurement]:
     """Backward Euler with the set-valued sign, solved exactly.
 
-    With the error x = z0+ - y after the sample, the error b = z0 + dt z1 - y of the prediction and xi in Sgn x,
-    x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
-    For |b| <= dt^2 lambda_0 L the solution is x = 0, and z1+ is the backward difference of y: no chatter, and no
-    rounding that adds up. Once reached, sliding persists: b is then a second difference of y, at most
-    L dt^2 < lambda_0 L dt^2. The error is at most L dt/2, the least possible from samples. Outside of sliding, s =
-    |x|^(1/2) solves a quadratic.
+    Let x = z0+ - y be the error after the sample, b = z0 + dt z1 - y the error of the prediction, and xi in Sgn x. They
+    obey x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
+
+    For |b| <= dt^2 lambda_0 L the solution is x = 0: the differentiator slides, and z1+ is the backward difference of
+    y. It then neither chatters nor adds up rounding errors. Once reached, sliding persists, because b is then a second
+    difference of y, at most L dt^2 < lambda_0 L dt^2. The error of the velocity is at most L dt/2, the least possible
+    from samples. Outside of sliding, s = |x|^(1/2) solves a quadratic.
     """
     b = state.z0 + dt * state.z1 - measurement.y
     jump = dt * params.lambda0 * params.lipschitz
@@ -80,7 +81,10 @@ def backward_difference_step(
 
 
 def in_sliding(params: LevantParams) -> tuple[Differentiator, LevantParams]:
-    """The part that is linearised in place of the robust exact differentiator: the backward difference of y."""
+    """The part that is linearised in place of the robust exact differentiator: the backward difference of y.
+
+    It stands for the differentiator while |y''| <= L, when it slides.
+    """
     return BACKWARD_DIFFERENCE, params
 
 
