@@ -37,13 +37,14 @@ class RecordedDisturbanceParams(NamedTuple):
 def record_mean(record: HeldRecord, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
     """Mean of a held record over the sample [t, t + dt) [u], which the plant gets in place of jumps within the sample.
 
-    So the integral of the disturbance is exact at all samples.
+    The integral of the disturbance is therefore exact at all samples. ``state`` and ``key`` are not used, because the
+    record determines the mean.
     """
     return held_mean(record, t, dt)
 
 
 def recorded_disturbance(rule: Interpolation) -> Disturbance:
-    """The disturbance that interpolates a record by a rule, as a model; with ``hold`` it is constant over a sample."""
+    """Make the disturbance that interpolates a record by a rule; with ``hold`` it is constant over a sample."""
 
     def prepare(params: RecordedDisturbanceParams) -> Pieces:
         """The record as a piecewise cubic function of time; raises ConfigError."""

@@ -35,9 +35,15 @@ def prepare(params: PayloadParams) -> PayloadParams:
 
 
 def change(params: PayloadParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share, in [0, 1], of the mass at its place.
+    """The condition of the vehicle with a share of the mass at its place.
 
     Masses of other events stay: the moments of all masses add up.
+
+    Args:
+        params: The mass and its place.
+        condition: The condition after earlier events.
+        share: Share of the mass that is at its place, in [0, 1].
+        rotors: Number of rotors, which is not needed here.
     """
     mass = share * params.mass
     x, y, z = params.offset

@@ -10,11 +10,11 @@ from dssc_jax.core.events import AT, SensorEvent, Wrapped
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, Scalar, State
 
-ROUNDING = 1e-9  # samples
+ROUNDING = 1e-9  # tolerance for the rounding of t = k T_s [samples]
 
 
 class OutageParams(NamedTuple):
-    """Beginning ``at`` and ``duration`` of an outage, during which the sensor shows its last reading before it."""
+    """Start ``at`` and length ``duration`` of an outage, during which the last reading before the outage is shown."""
 
     at: Annotated[Scalar, AT]
     duration: Annotated[Scalar, Quantity("s", "time for which the last reading is shown", at_least=0.0)]
@@ -28,14 +28,16 @@ class OutageState(NamedTuple):
 
 
 def wrap(sensor: Sensor) -> Sensor:
-    """Make a sensor with an outage from a sensor: at samples in [at, at + duration) it shows its last reading before.
+    """Make a sensor with an outage from a sensor without one.
 
-    An outage from t = 0 on repeats the first reading.
+    At samples in [at, at + duration) it shows the last reading before the outage. An outage from t = 0 on repeats the
+    first reading.
     """
 
     def init(params: Wrapped, measurement: Measurement, key: jax.Array) -> OutageState:
         """The state from the first true measurement, before any reading is shown."""
-        inner = sensor.init(params.inner, measurement, key)  # the first sample replaces what is shown
+        inner = sensor.init(params.inner, measurement, key)
+        # the reading shown is a placeholder: the first sample, at t = 0, replaces it in any case
         return OutageState(inner, Measurement(measurement.y, measurement.y_dot))
 
     def step(

@@ -28,7 +28,14 @@ def prepare(params: ShearParams) -> ShearParams:
 
 
 def change(params: ShearParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share, in [0, 1], of this shear beside the shears of other events."""
+    """The condition of the vehicle with a share of this shear, beside the shears of other events.
+
+    Args:
+        params: The shear.
+        condition: The condition after earlier events.
+        share: Share of the shear that has set in, in [0, 1].
+        rotors: Number of rotors, which is not needed here.
+    """
     shear = Shear(Vec3(*params.gradient) * share, params.height)
     return condition._replace(shears=(*condition.shears, shear))
 

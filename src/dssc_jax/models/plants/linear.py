@@ -5,8 +5,8 @@ with c A^(r-1) b not zero, or the excess of poles over zeros. A controller can r
 
 * r = 2: y' does not depend on the command, and y'' depends on it with the gain c A b. The plant is of the class
   (5)-(8) where its zeros are stable (:mod:`dssc_jax.core.normal_form`).
-* r = 1: y' jumps with the command. At a sample it is measured just before the jump, so that it contains the last
-  command. A differentiator (``[differentiator]``) or a controller that uses y alone (PID) does not need it.
+* r = 1: y' jumps with the command. At a sample y' is measured just before the jump, so that it contains the last
+  command. A differentiator (``[differentiator]``) or a controller that uses y alone (PID) does not need this y'.
 * r > 2: y' is exact, but sigma = e' + l_0 e does not have relative degree one.
 """
 
@@ -110,7 +110,7 @@ def state_space_dynamics(params: StateSpaceParams) -> LinearDynamics:
 
 
 def state_space_measure(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Measurement:
-    """y = c x, and y' = c A x + c b u + c e d + the effect of the named inputs.
+    """The output y = c x, and its derivative y' = c A x + c b u + c e d + the effect of the named inputs.
 
     Here u is the command, and d the disturbance with its column e. Where a relative degree is known to be above 1, the
     product c b or c e is 0 and is left out.
@@ -131,7 +131,7 @@ def state_space_report(params: StateSpaceParams, state: LinearState, drive: Plan
 
 
 def state_space_gain(params: StateSpaceParams) -> Scalar:
-    """c A^(r-1) b: the gain from the command to the r-th derivative of the output, with the relative degree r."""
+    """The high-frequency gain c A^(r-1) b: from the command to the r-th derivative of y, with the relative degree r."""
     degree = int(params.degree or 1)  # None before the plant is prepared
     column = params.b
     for _ in range(degree - 1):
@@ -182,8 +182,8 @@ def last_slope(params: RationalParams, state: LinearState) -> Scalar:
 def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
     """Make the plant's matrices in controllable canonical form.
 
-    x_i' = x_(i+1). Command and disturbance add to the derivative of the last state with gain 1. The numerator does not
-    enter here; it determines the output (:func:`transfer_function_measure`).
+    The states obey x_i' = x_(i+1). Command and disturbance add to the derivative of the last state with gain 1. The
+    numerator determines only the output (:func:`transfer_function_measure`).
     """
     leading, *lower = params.denominator
     order = len(lower)
@@ -196,10 +196,10 @@ def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
 
 
 def transfer_function_measure(params: RationalParams, state: LinearState, drive: PlantInput) -> Measurement:
-    """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its derivative y'.
+    """The output y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its derivative y'.
 
-    The coefficients b_i of the numerator belong to s^i. Since x_i' = x_(i+1), the last state's derivative is the only
-    one that depends on command and disturbance.
+    The coefficients b_i of the numerator belong to s^i. Since x_i' = x_(i+1), only the derivative of the last state
+    depends on command and disturbance.
     """
     rising = tuple(reversed(params.numerator))
     slope = (*state.x[1:], last_slope(params, state) + drive.command + drive.disturbance)
@@ -209,15 +209,16 @@ def transfer_function_measure(params: RationalParams, state: LinearState, drive:
 
 
 def transfer_function_gain(params: RationalParams) -> Scalar:
-    """b_m/a_n: the gain from the command to the derivative of the output whose order is the relative degree."""
+    """The high-frequency gain b_m/a_n: from the command to the r-th derivative of y, with the relative degree r."""
     return params.numerator[0] / params.denominator[0]
 
 
 def prepare_transfer_function(params: RationalParams) -> RationalParams:
-    """Require a strictly proper plant with leading coefficients that are not zero, and set its relative degree.
+    """The parameters with their relative degree, which must be those of a strictly proper plant.
 
     Raises:
-        ConfigError: The plant is not of this kind.
+        ConfigError: The plant is not strictly proper, has too many states or initial values, or has a leading
+            coefficient that is 0.
     """
     order = len(params.denominator) - 1
     if not 1 <= order <= MOST_STATES:

@@ -53,7 +53,11 @@ def schroeder_phases(count: int) -> tuple[float, ...]:
 
 
 def prepare_multisine(params: MultisineParams) -> MultisineParams:
-    """The parameters with phases, by default Schroeder's, and lists that must have one length; raises ConfigError."""
+    """The parameters with phases, by default Schroeder's; the lists must have one length.
+
+    Raises:
+        ConfigError: The lists are empty or differ in length.
+    """
     count = len(params.amplitudes)
     phases = schroeder_phases(count) if params.phases is None else params.phases
     for name, values in (("frequencies", params.frequencies), ("phases", phases)):

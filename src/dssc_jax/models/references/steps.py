@@ -1,7 +1,7 @@
 """Steps, ramps and pulse trains as desired outputs.
 
-A step and a pulse train have no derivatives at their edges. There y_m' and y_m'' are those on the right: a controller
-that uses them sees a change of y_m and no impulse.
+A step and a pulse train have no derivatives at their edges. There y_m' and y_m'' are the derivatives on the right, so
+that a controller sees a change of y_m and no impulse.
 
 In units, y stands for the unit of the plant's output.
 """
@@ -92,7 +92,7 @@ def step_level(params: StepReferenceParams) -> Scalar:
 
 
 def ramp_level(params: RampParams) -> Scalar:
-    """The level of the reference: its value after the ramp, or before it if the ramp does not end."""
+    """The level of the reference: its value after the ramp, or the value before it if the ramp does not end."""
     return params.offset + (0.0 if params.rise is None else params.slope * params.rise)
 
 

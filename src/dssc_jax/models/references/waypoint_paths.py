@@ -62,12 +62,12 @@ def check_turns(path: CubicSpline, u: np.ndarray) -> None:
 
 
 def parameters_at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distances: np.ndarray) -> np.ndarray:
-    """The parameters at which the path has reached some lengths, by Newton's method, shape (m,).
+    """The parameters at which the path has reached some lengths, shape (m,), by four steps of Newton's method.
 
     Args:
         path: The path.
         u: Parameters of a grid, rising, shape (n,).
-        s: Length of the path up to each of them [m], shape (n,).
+        s: Length of the path up to each parameter of the grid [m], shape (n,).
         distances: The lengths [m], shape (m,).
     """
     # k: the interval of the grid in which each length lies
@@ -80,7 +80,10 @@ def parameters_at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distan
 
 
 def path_grid(path: CubicSpline) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters of the path, ``LEG_PARTS`` to a leg, and the length of the path up to each [m], shape (n,) each."""
+    """A grid of parameters of the path, and the length of the path up to each [m], shape (n,) each.
+
+    The grid has ``LEG_PARTS`` parts in each leg between two waypoints.
+    """
     waypoints = len(path.x)
     legs = np.arange(LEG_PARTS * (waypoints - 1) + 1) / LEG_PARTS  # 0 at the first waypoint, 1 at the second, ..
     grid = np.interp(legs, np.arange(waypoints), path.x)

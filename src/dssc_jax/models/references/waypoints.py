@@ -36,7 +36,7 @@ FLATTENING = 1.0 / 298.257223563  # f of WGS 84 (TR8350.2, table 3.1)
 STANDARD_GRAVITY = 9.80665  # g_n [m/s^2] (3rd CGPM, 1901)
 LATERAL_LIMIT = 0.5 * STANDARD_GRAVITY  # greatest acceleration across the path [m/s^2]: a tilt of 27 degrees (assumed)
 FRAME_RADIUS = 1e4  # reach of the local frame [m] (assumed): the ground is 8 m below the tangent plane there
-SAME = 0.01  # consecutive waypoints nearer than this [m] are the same (assumed; the precision of RTK positioning)
+SAME = 0.01  # consecutive waypoints nearer than this [m] count as one (assumed; the precision of RTK positioning)
 SEGMENT_TIME = 0.02  # duration of a segment of the table [s]
 FEWEST_SEGMENTS = 256
 MOST_SEGMENTS = 65536
@@ -54,9 +54,9 @@ class WaypointParams(NamedTuple):
     """Waypoints in the order of flight.
 
     The origin of x (east), y (north) and z (up) is the ground at the first waypoint. Yaw is measured from east towards
-    north, as psi of the model (not as a compass heading), and turns the shorter way from one waypoint to the next;
+    north, as psi of the model and unlike a compass heading. It turns the shorter way from one waypoint to the next;
     without yaw, psi is 0. Heights are differences of ellipsoidal heights. The ground is assumed to lie on the
-    ellipsoid, which shortens lengths by 1.6e-7 for each metre of its true height.
+    ellipsoid; for each metre of the ground's true height above the ellipsoid, this shortens lengths by 1.6e-7.
     """
 
     latitude_deg: Annotated[tuple[Scalar, ...], LATITUDE]
@@ -115,7 +115,11 @@ def enu(params: WaypointParams) -> np.ndarray:
 
 
 def check_path(params: WaypointParams) -> None:
-    """Check the numbers of the waypoints, and that these are distinct and near each other; raises ConfigError."""
+    """Check the waypoints: their numbers, that all are near the first one, and that consecutive ones differ.
+
+    Raises:
+        ConfigError: A condition does not hold.
+    """
     check_numbers(params)
     points = enu(params)
     distances = np.linalg.norm(points, axis=1)  # from the ground at the first waypoint
@@ -251,9 +255,9 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
 
 
 def slowed_step(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
-    """Lengthen the time between two nodes so that the motion keeps its bounds between them, too.
+    """Lengthen the time between two nodes so that the motion keeps its bounds between the nodes, too.
 
-    A motion slowed down by a factor has its speed divided by it, and its acceleration divided by the factor's square.
+    Slowing a motion down by a factor divides its speed by the factor, and its acceleration by the factor's square.
 
     Args:
         step: Time between two nodes [s].

@@ -25,7 +25,7 @@ class LagState(NamedTuple):
 
 
 def lag_init(params: SensorLagParams, measurement: Measurement, key: jax.Array) -> LagState:
-    """The state at the first measurement, which the sensor shows as if it had been constant before."""
+    """The state at the first measurement, which the sensor shows as if this measurement had been constant before."""
     return LagState(true=measurement, shown=measurement)
 
 
@@ -34,7 +34,8 @@ def lag_step(
 ) -> tuple[LagState, Measurement]:
     """The next state and the reading z, by the exact solution of mu z' = y - z for y linear between the samples.
 
-    So a mu far below T_s shows y itself, and not the y of the sample before.
+    With a mu far below T_s, the sensor therefore shows y itself, and not the y of the sample before. ``key`` and ``t``
+    are arguments of every sensor; a lag does not use them.
     """
     relative_time = dt / params.mu
     step_response = -jnp.expm1(-relative_time)  # 1 - exp(-dt/mu)

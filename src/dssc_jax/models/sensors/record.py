@@ -48,9 +48,12 @@ class NoiseStart(StrEnum):
 
 
 def prepare(params: RecordedNoiseParams) -> RecordedNoise:
-    """The record as functions of time, shifted so that the first value is at t = 0; raises ConfigError.
+    """The record as functions of time, shifted so that the first value is at t = 0.
 
     Each value begins a little early, because the times k T_s of samples are rounded.
+
+    Raises:
+        ConfigError: The times do not rise, or the columns do not have one value for each.
     """
     columns = {"position": params.position, "velocity": params.velocity}
     pieces = columns_as_pieces(params.time, columns, Interpolation.HOLD)
@@ -67,9 +70,11 @@ def step(
 ) -> tuple[Scalar, Measurement]:
     """The state, and the measurement with the record's noise added.
 
-    The state is the time of the record at which the draw began [s]; it stays. The record is repeated after its end.
+    The state is the time of the record at which the draw began [s]; it stays. The record is repeated after its end. The
+    random ``key`` and ``dt`` are not used, because the record determines the noise.
     """
     at = start_time + t
+    # a repetition begins as early as a value does: by the share AHEAD of a step
     repetitions = jnp.floor(at / noise.length + AHEAD / len(noise.position.begins))
     at = at - noise.length * repetitions
     position = piece_at(noise.position, at).y

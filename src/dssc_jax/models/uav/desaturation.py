@@ -67,10 +67,10 @@ class Directions(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """PX4's scale of the columns of an allocation: what counts as 1 along each.
+    """PX4's scale of the columns of an allocation: the entry that counts as 1 in each column.
 
     Args:
-        thrust: Mean of the entries of net thrust.
+        thrust: Mean size of the entries of net thrust that are not 0.
         turning: The scale of roll and of pitch: the larger of their :func:`scaled_rms` [1/m].
         yaw: The largest entry about the axis that points down [1/m].
     """
@@ -81,7 +81,7 @@ class Scales(NamedTuple):
 
 
 def scales_of(inverse: Sequence[Sequence[float]]) -> Scales:
-    """What PX4 counts as 1 along each direction of an allocation; an entry much smaller than this counts as weak.
+    """The entry that PX4 counts as 1 in each column of an allocation; a much smaller entry counts as weak.
 
     Args:
         inverse: The allocation, shape (n_r, 4): row i gives the thrust f_i from (f, M_x, M_y, M_z), with z up.
@@ -96,10 +96,10 @@ def scales_of(inverse: Sequence[Sequence[float]]) -> Scales:
 
 
 def rotors_of_full_thrust(inverse: Sequence[Sequence[float]]) -> float:
-    """The net thrust of the command 1, at which the rotors have their largest thrust in the mean, over that thrust.
+    """The net thrust at which the rotors' mean thrust is the largest thrust of a rotor, divided by this largest thrust.
 
-    It is PX4's normalisation of the thrust: the number of rotors that lift, and less by their cosine for tilted ones.
-    Whole numbers are exact.
+    PX4 normalises the thrust by it: the command 1 is this net thrust. The result is the number of rotors that lift;
+    tilted rotors count with the cosine of their tilt. A result that is whole up to rounding is a whole number.
 
     Args:
         inverse: The allocation, shape (n_r, 4).
@@ -127,7 +127,10 @@ def directions_of(inverse: Sequence[Sequence[float]]) -> Directions:
 
 
 def scaled_rms(column: np.ndarray) -> float:
-    """sqrt(2) times the root mean square of a column of an allocation, over the rotors with a part in its direction."""
+    """sqrt(2) times the root mean square of a column of an allocation, over the rotors that take part in it.
+
+    A rotor takes part if its entry is larger than ``NONZERO`` times the largest one.
+    """
     size = np.abs(column)
     count = np.sum(size > NONZERO * size.max())
     return float(np.sqrt(np.sum(column**2) / (count / 2.0)))
@@ -136,8 +139,13 @@ def scaled_rms(column: np.ndarray) -> float:
 def gain_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> Scalar:
     """The step along a direction that undoes as much as possible of what exceeds [0, limit].
 
-    A rotor beyond a limit returns to it by the step (limit - thrust)/entry. The result is the sum of the most negative
-    and the most positive of these steps.
+    A rotor beyond a limit returns to this limit by the step (limit - thrust)/entry. The result is the sum of the most
+    negative and the most positive of these steps, so that opposite demands of two rotors offset each other.
+
+    Args:
+        direction: The direction; rotors that are weak along it do not count.
+        thrusts: Thrust of each rotor before the step [N].
+        limit: Largest thrust of a rotor [N].
     """
     low: Scalar = 0.0
     high: Scalar = 0.0
@@ -159,15 +167,18 @@ def moved(direction: Direction, thrusts: Sequence[Scalar], gain: Scalar) -> list
 
 
 def desaturated_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> list[Scalar]:
-    """The thrusts after a step along a direction, and half a step towards what the first one left."""
+    """The thrusts after a step along a direction, and half of a second step for what the first step left.
+
+    Arguments are as for :func:`gain_along`.
+    """
     thrusts = moved(direction, thrusts, gain_along(direction, thrusts, limit))
     return moved(direction, thrusts, 0.5 * gain_along(direction, thrusts, limit))
 
 
 def reduced_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> list[Scalar]:
-    """As :func:`desaturated_along`, but nothing where the first step would raise the net thrust.
+    """As :func:`desaturated_along`, but without any step where the first one would raise the net thrust.
 
-    It is meant for the direction of net thrust alone.
+    The function is meant for the direction of net thrust alone, in which a positive step raises the net thrust.
     """
     gain = gain_along(direction, thrusts, limit)
     allowed = gain <= 0.0
@@ -182,7 +193,7 @@ def desaturated(
     """Thrusts for a wanted net thrust [N] and moment [N m], desaturated along the allocation's directions.
 
     Args:
-        inverse: The allocation, (n_r, 4), plain numbers.
+        inverse: The allocation, shape (n_r, 4), plain numbers.
         thrust: Wanted net thrust [N].
         moment: Wanted moment [N m].
         limit: Largest thrust of a rotor [N].

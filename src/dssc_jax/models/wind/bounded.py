@@ -17,10 +17,10 @@ VERTICAL_SHARE = 0.5  # default bound of |w_z| relative to that of the horizonta
 
 
 class BoundedWindParams(NamedTuple):
-    """Winds whose horizontal vector, vertical component and rates stay within bounds; a draw is an extreme one.
+    """Bounds of the horizontal wind, the vertical wind and their rates; a draw goes from one extreme to another.
 
-    A draw switches at random times between extremes: a horizontal vector of length ``speed`` in a random direction, and
-    a vertical component ``vertical`` up or down. It moves along straight lines at ``rate``, or jumps.
+    A draw switches at random times. An extreme is a horizontal vector of length ``speed`` in a random direction, with a
+    vertical component ``vertical`` up or down. The wind moves to it along a straight line at ``rate``, or jumps.
     """
 
     speed: Annotated[Scalar, Quantity("m/s", "bound of the horizontal wind's norm", at_least=0.0, leading=True)]
@@ -35,7 +35,10 @@ class BoundedWindParams(NamedTuple):
 
 
 class BoundedWindState(NamedTuple):
-    """The wind at the last sample [m/s], the time ``since`` then [s], and the extreme towards which it moves [m/s]."""
+    """The wind at the last sample [m/s], the time ``since`` of that sample [s], and the extreme ``target`` [m/s].
+
+    The wind moves from ``wind`` towards ``target`` since that time.
+    """
 
     wind: Vec3
     since: Scalar
@@ -99,7 +102,8 @@ def bounded_step(
 ) -> BoundedWindState:
     """The state at the next sample, where the wind may switch to another random extreme.
 
-    Switches are the events of a Poisson process: a sample has at least one with the probability 1 - exp(-dt/period).
+    Switches are the events of a Poisson process: a sample has at least one of them with the probability
+    1 - exp(-dt/period).
     """
     turn, side, number = uniforms(key, 3)
     switches = number < -jnp.expm1(-dt / params.period)
@@ -116,7 +120,10 @@ def bounded_value(params: BoundedWindParams, state: BoundedWindState, t: Scalar)
 
 
 def bounded_mean(params: BoundedWindParams, dt: Scalar) -> Vec3:
-    """The expected wind over the first sample: 0, because all directions are equally likely."""
+    """The expected wind over the first sample [m/s]: 0, because all directions are equally likely.
+
+    It depends neither on the bounds nor on the length ``dt`` of the sample.
+    """
     return Vec3(0.0, 0.0, 0.0)
 
 

@@ -49,14 +49,15 @@ def first_wind(records: tuple[HeldRecord, ...], key: jax.Array) -> Vec3:
 def wind_mean(records: tuple[HeldRecord, ...], state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
     """The mean of a held record over the sample [t, t + dt) [m/s].
 
-    A jump within the sample therefore does not reduce the integrator's order.
+    A jump within the sample therefore does not reduce the integrator's order. ``state`` and ``key`` are not used,
+    because the record determines the mean.
     """
     x, y, z = records
     return Vec3(held_mean(x, t, dt), held_mean(y, t, dt), held_mean(z, t, dt))
 
 
 def pieces_of(records: tuple[HeldRecord, ...]) -> tuple[Pieces, ...]:
-    """The pieces of the three components of a held record."""
+    """The pieces, as functions of time, of the three components of a held record."""
     return tuple(record.pieces for record in records)
 
 

@@ -22,8 +22,8 @@ S = TypeVar("S")
 class SampledInnerLoop(Protocol[S]):
     """Gains of a sampled inner loop, with the functions of its software.
 
-    Its state has the fields ``unallocated``, the moment [N m] that the rotors did not give at the last tick, and
-    ``bounded``, whether the thrust is at its lower limit.
+    The state of the software has the fields ``unallocated``, the moment [N m] that the rotors did not give at the last
+    tick, and ``bounded``, whether the thrust is at its lower limit.
     """
 
     @property

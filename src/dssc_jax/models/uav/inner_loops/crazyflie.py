@@ -194,7 +194,7 @@ class CrazyflieGains(NamedTuple):
     def trimmed(self, craft: Craft, state: "CrazyflieState", trim: Trim) -> "CrazyflieState":
         """The state whose integrals hold a trim; their numbers in the study add to it.
 
-        An integral without a gain stays as it is: then nothing holds that part of the trim.
+        An integral without a gain stays at the study's number, and nothing holds that part of the trim.
         """
         lacking = (trim.thrust - self.hover_thrust(craft)) / craft.full_thrust
         held = Vec3(
@@ -270,8 +270,14 @@ class CrazyflieGains(NamedTuple):
     ) -> tuple["CrazyflieState", Wrench]:
         """Attitude and rate control: from the held angles to thrust and moment.
 
-        Three PIDs turn errors of the angles into desired rates, and three others turn errors of the rates into shares
-        of the largest torques. All angles are wrapped to (-pi, pi].
+        Three PIDs turn errors of the angles into desired rates, and three others turn errors of the rates into torque
+        commands, which :func:`torque_units` converts to moments. Angles of yaw are wrapped to (-pi, pi].
+
+        Args:
+            craft: The vehicle as the software knows it.
+            state: State of the cascade.
+            readings: Measurements.
+            dt: Time since the last tick [s].
         """
         # attitude: from errors of the angles to desired rates
         angles = angles_of(readings.attitude.matrix())
@@ -283,7 +289,7 @@ class CrazyflieGains(NamedTuple):
         gains = (Vec3(*self.attitude_p), Vec3(*self.attitude_i), Vec3(*self.attitude_d))
         bound = Vec3(*self.attitude_integral_max)
         attitude, rates = pid(state.attitude, error, angles, slope, gains, bound, dt)
-        # rates: from their errors to shares of the largest torques
+        # rates: from their errors to torque commands
         slope = (readings.rate - state.rate.measured) * (1.0 / dt)
         gains = (Vec3(*self.rate_p), Vec3(*self.rate_i), Vec3(*self.rate_d))
         bound = Vec3(*self.rate_integral_max)
@@ -355,7 +361,7 @@ def pid(
 def over_gain(value: Scalar, gain: Scalar) -> Scalar:
     """The integral that gives a value; 0 without a gain.
 
-    A gain that is known to be 0 before tracing costs nothing; a traced gain may be 0 in some draws.
+    A gain that is known to be 0 before tracing adds nothing to the program; a traced gain may be 0 in some draws.
     """
     if is_zero(gain):
         return 0.0

@@ -38,8 +38,8 @@ class Craft(NamedTuple):
     Args:
         mass: Mass M [kg].
         inertia: Diagonal of the inertia J [kg m^2].
-        allocation: Matrix of (f, M_x, M_y, M_z) -> f_i, with a row for each rotor.
-        moments: Matrix of f_i -> (M_x, M_y, M_z), with a row for each axis.
+        allocation: The matrix from (f, M_x, M_y, M_z) to the rotors' thrusts f_i, shape (n_r, 4).
+        moments: The matrix from the rotors' thrusts f_i to (M_x, M_y, M_z), shape (3, n_r).
         rotor_limit: Largest thrust of a rotor [N].
     """
 
@@ -100,13 +100,17 @@ def body_angles(upward: Vec3, psi: Scalar) -> Angles:
 
 
 def angles_of(rotation: Mat3) -> Vec3:
-    """Roll, pitch and yaw [rad]."""
+    """Roll, pitch and yaw [rad].
+
+    Args:
+        rotation: R = R_z(psi) R_y(theta) R_x(phi), body to inertial.
+    """
     flat = jnp.sqrt(rotation.c.y * rotation.c.y + rotation.c.z * rotation.c.z)
     return Vec3(atan2(rotation.c.y, rotation.c.z), atan2(-rotation.c.x, flat), atan2(rotation.b.x, rotation.a.x))
 
 
 class StartsSettled(Protocol):
-    """What :func:`require_integral` reads of the gains of an inner loop that may start in an equilibrium."""
+    """The fields that :func:`require_integral` reads of an inner loop's gains."""
 
     @property
     def start(self) -> Start:
@@ -124,7 +128,7 @@ def require_integral(gains: StartsSettled, gain: str) -> None:
 
     Args:
         gains: Gains of an inner loop.
-        gain: Name of its integral gain of the vertical velocity.
+        gain: Name of the field with the integral gain of the vertical velocity.
 
     Raises:
         ConfigError: The integrals of velocity are not three, or the start is settled and the gain is 0.
@@ -158,6 +162,10 @@ def net_wrench(craft: Craft, thrusts: tuple[Scalar, ...]) -> Wrench:
     """The thrust and moment for which the allocation gives rotor thrusts that are nearest to those.
 
     The thrust is the first row of the allocation's pseudo-inverse times the rotor thrusts.
+
+    Args:
+        craft: The vehicle as the inner loop knows it.
+        thrusts: Thrusts of the rotors [N].
     """
     rows = np.linalg.pinv(np.array(craft.allocation)).tolist()
     return Wrench(dot(rows[0], thrusts), allocated_moment(craft, thrusts))
@@ -169,7 +177,12 @@ def limited(vector: Vec3, limit: Vec3) -> Vec3:
 
 
 def smoothing(cutoff: float | None, dt: float) -> float:
-    """Weight of a new value in a first-order low-pass filter with a cutoff frequency [Hz]; None, no filter: 1."""
+    """Weight of a new value in a first-order low-pass filter with a cutoff frequency [Hz]; None, no filter: 1.
+
+    Args:
+        cutoff: Cutoff frequency [Hz]; None: there is no filter.
+        dt: Time between two values [s].
+    """
     return 1.0 if cutoff is None else dt / (dt + 1.0 / (2.0 * math.pi * cutoff))
 
 
@@ -182,7 +195,7 @@ def blend(old: Vec3, new: Vec3, weight: float) -> Vec3:
 
 
 class LowPass(NamedTuple):
-    """The two last internal values of a second-order filter in direct form II: the last one, and the one before it."""
+    """State of a second-order filter in direct form II: its last internal value, and the one before it (``earlier``)."""
 
     last: Vec3
     earlier: Vec3
@@ -191,7 +204,8 @@ class LowPass(NamedTuple):
 def butterworth(cutoff: float, dt: float) -> tuple[float, float, float]:
     """Coefficients (b_0, a_1, a_2) of the second-order Butterworth low-pass with a cutoff frequency [Hz].
 
-    It is sampled every dt [s] by the bilinear transform with prewarping. Its numerator is b_0 (1 + 2/z + 1/z^2).
+    The filter is sampled every dt [s] by the bilinear transform with prewarping. The numerator of its transfer function
+    is b_0 (1 + 2/z + 1/z^2), and the denominator 1 + a_1/z + a_2/z^2.
     """
     c = math.tan(math.pi * cutoff * dt)
     root = 2.0 * math.cos(0.25 * math.pi)
@@ -220,7 +234,10 @@ def low_pass(state: LowPass, value: Vec3, cutoff: float, dt: float) -> tuple[Low
 
 
 def half_angle(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
-    """(cos, sin) of half an angle in (-pi, pi) from those of the angle."""
+    """(cos, sin) of half an angle in (-pi, pi) from those of the angle.
+
+    At an angle near pi the cosine of the half counts as 1e-6, so that the quotient stays finite.
+    """
     half_cosine = jnp.sqrt(jnp.maximum(0.5 * (1.0 + cosine), 1e-12))
     return half_cosine, 0.5 * sine / half_cosine
 
@@ -228,7 +245,8 @@ def half_angle(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
 def half_turn(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
     """(cos, sin) of half an angle of any size, up to the sign of both, which turns nothing.
 
-    The larger of the two is computed by a root, and the smaller one by a quotient, so that nothing cancels.
+    A root gives the larger of the two, and a quotient the smaller one, so that no difference of near numbers loses
+    digits.
     """
     back = cosine < 0.0
     large = jnp.sqrt(0.5 * (1.0 + jnp.abs(cosine)))
