@@ -1,6 +1,6 @@
 """Read the bounds that a monitor watches from a certificate, after the verifier has accepted the certificate.
 
-The certificate must be one of the study's own loop; that of another loop is refused.
+A certificate of another loop than the study's is refused.
 """
 
 import json

@@ -157,8 +157,8 @@ class SampledController:
     def smallest_difference(self) -> np.floating:
         """The largest difference of two commands near 0 that counts as none, in the command's unit.
 
-        A bumpless start compares the wanted command with the command of the first step. It ignores differences up to
-        this number, because a relative tolerance is 0 at the command 0.
+        A bumpless start compares the wanted command with the command of the first step. The comparison ignores
+        differences up to this number, because a relative tolerance is 0 at the command 0.
         """
         return self.real.type(1e-6 if self.precision == 32 else 1e-9)
 

@@ -1,4 +1,4 @@
-"""The cost of a controller's step: operations, the longest chain of them, and memory."""
+"""The cost of a controller's step: the operations, the longest chain of operations, and the memory."""
 
 from collections import Counter
 from collections.abc import Iterable

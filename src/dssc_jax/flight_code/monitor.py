@@ -1,8 +1,8 @@
 """The monitor of a flight: a pure step function that tells which premises of a certificate the flight violates.
 
-``initial_monitor(premises)`` is its state before the first sample, ``monitor(premises, state, sample)`` one step. It is
-written as C in the same way as the controllers. A number that is not finite counts as unknown: it raises no flag, and
-clears none that is latched.
+``initial_monitor(premises)`` gives the monitor's state before the first sample, and ``monitor(premises, state,
+sample)`` makes one step. The step is written as C in the same way as the controllers. A number that is not finite
+counts as unknown: it raises no flag, and clears none that is latched.
 """
 
 from collections.abc import Sequence
@@ -258,7 +258,7 @@ def is_finite(number: Scalar) -> jax.Array:
 def exceeds(number: Scalar, bound: float) -> jax.Array:
     """Whether a known number is beyond a bound.
 
-    A number is known if it is finite. It is beyond the bound if its absolute value exceeds the bound.
+    A number is known if it is finite. A known number is beyond the bound if its absolute value exceeds the bound.
     """
     return is_finite(number) & jnp.greater(jnp.abs(number), bound)
 

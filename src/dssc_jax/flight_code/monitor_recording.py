@@ -115,7 +115,13 @@ def recording_lane(
 
 
 def monitor_row(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, Row]:
-    """The state of the monitor after a sample, and the row to record."""
+    """The state of the monitor after a sample, and the row to record.
+
+    Args:
+        premises: The bounds of the monitor.
+        state: The state of the monitor before the sample.
+        sample: The monitor's inputs at the sample.
+    """
     next_state, current = monitor(premises, state, sample)
     next_state = typed(next_state)
     # The floating-point leaves; the row has the latched flags already, and leaves out the counts of samples.

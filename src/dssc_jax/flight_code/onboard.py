@@ -1,7 +1,7 @@
 """Sampled software on board of a plant, such as the inner loops with the mixer, traced to be written as C.
 
-Its gains are parameters of the code. All other numbers of the study are constants, so a number with a law is refused if
-the software reads it.
+The gains of the software are parameters of the code. All other numbers of the study are constants of the code, so a
+number with a law is refused if the software reads it.
 """
 
 from collections.abc import Callable, Sequence

@@ -61,7 +61,13 @@ def recording_lane(
             rows: list[Row] = []
 
             def record_tick(earlier: State, drive: PlantInput, after: State) -> None:
-                """Add the row of a tick, between two states of the plant."""
+                """Add the row of a tick, between two states of the plant.
+
+                Args:
+                    earlier: The state before the tick.
+                    drive: The plant's input during the tick.
+                    after: The state after the tick.
+                """
                 readings = jax.tree.leaves(measured_state(earlier))
                 commands = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
                 states = jax.tree.leaves(software.held(after))

@@ -4,12 +4,12 @@ Over a sample, y'' = -a_p y' + k_p (v + d) gives exactly
 
     mean d = ((y'_k - y'_(k-1)) + a_p (y_k - y_(k-1)))/(k_p T_s) - mean v
 
-where v is the command after delay or lag. Only intervals of k_p, a_p and the lag's time constant are known, hence only
-intervals of v and d. The interval below contains the mean of d for every plant of the certificate. In the settled loop
-v = -u_av + u_n is nearly constant, the interval is narrow, and d = u_av - u_n.
+where v is the command after delay or lag. Only intervals of k_p, a_p and the lag's time constant are known, so that v
+and d are known as intervals, too. The interval of d that is computed here contains the mean of d for every plant of the
+certificate. In the settled loop v = -u_av + u_n is nearly constant, the interval is narrow, and d = u_av - u_n.
 
-Let F be the low-pass F_k = F_(k-1) + w (d_k - F_(k-1)), w = T_s/(tau + T_s). The values of d in F_(k-1) are on average
-tau + T_s older than d_k. So |d'| <= D implies |d_k - F_(k-1)| <= (tau + T_s) D.
+Let F be the low-pass F_k = F_(k-1) + w (d_k - F_(k-1)) with w = T_s/(tau + T_s). The values of d in F_(k-1) are on
+average tau + T_s older than d_k. Therefore |d'| <= D implies |d_k - F_(k-1)| <= (tau + T_s) D.
 """
 
 import math
@@ -111,7 +111,7 @@ def see(
 ) -> tuple[SeenDisturbance, SeenFlags]:
     """Enclose the disturbance of the last sample, and compare it with the bounds of the premises.
 
-    The size of the disturbance is compared if y and y' were measured at this sample and at the last one. Its slope is
+    The size of the disturbance is compared if y and y' were measured at this sample and at the last one. The slope is
     compared if, in addition, there is an average of earlier samples. A missing measurement restarts the average.
 
     Args:

@@ -237,7 +237,11 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
 
 
 def require_constant_functions(gains: DsscGains) -> DsscGains:
-    """The gains themselves, whose state-dependent functions must be constants, as those of SSC; raises ConfigError."""
+    """The gains themselves, whose state-dependent functions must be constants, as those of SSC; raises ConfigError.
+
+    Args:
+        gains: Gains of an SSC, as its table states them.
+    """
     if not isinstance(gains.functions, Constant):
         raise ConfigError("functions.kind", "ssc has constant functions; for others take kind = 'dssc'")
     return gains

@@ -2,12 +2,12 @@
 
 The conservative form is backward Euler in the coordinate phi_1(sigma_hat) of the predictor. Its sums telescope, so that
 measurement noise causes no drift; it is the default wherever phi_1 has a finite slope. The implicit form is backward
-Euler in sigma_hat. Both have closed-form solutions.
+Euler in sigma_hat. Both forms have closed-form solutions. The explicit form is forward Euler; it chatters at every step
+size and is unstable for T_s > 2 tau_m or T_s > 2 tau_av.
 
-With a = T_s/tau_av, b = T_s/tau_m and c = T_s k_o/((1+a)(1+b)) the set-valued u_0 in rho Sgn(sigma_tilde+) is solved
-exactly by a clip. While the clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthesised law
-(22) in backward-Euler form; explicit Euler chatters at every step size and is unstable for T_s > 2 tau_m or
-T_s > 2 tau_av.
+Let a = T_s/tau_av, b = T_s/tau_m and c = T_s k_o/((1+a)(1+b)). A clip solves the set-valued u_0 in rho
+Sgn(sigma_tilde+) exactly. While the clip is inactive, sigma_hat+ = sigma to rounding, and the command obeys the
+synthesised law (22) in backward-Euler form.
 
 In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """

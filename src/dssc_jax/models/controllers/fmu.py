@@ -88,7 +88,10 @@ class FmuController:
         self.functions = FmuFunctions(ports)
 
     def init(self, gains: Params, measurement: Measurement, reference: ReferencePoint) -> tuple[Scalar, ...]:
-        """The state before an instance of the FMU is started: empty words, which :meth:`begin` replaces."""
+        """The state before an instance of the FMU is started: empty words, which :meth:`begin` replaces.
+
+        They hold the place of the instance's handle; parameters and signals do not enter here.
+        """
         return empty_words()
 
     def begin(self, gains: Params, state: tuple[Scalar, ...], lane: Scalar, steps: int) -> tuple[Scalar, ...]:

@@ -55,7 +55,10 @@ class Constant(NamedTuple):
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """The constants themselves, in every state (Table 2, row 1)."""
+        """The constants themselves, in every state (Table 2, row 1).
+
+        sigma, e and l0 are arguments of every row; constants do not depend on them.
+        """
         return StateFunctions(self.k_o, self.tau_av, self.tau_m)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
@@ -85,7 +88,10 @@ class StandardSta(NamedTuple):
     smooth = not_smooth(f"with the functions of the standard STA {SWITCHES}")
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r."""
+        """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r.
+
+        The values of k_o, tau_av and tau_m at sigma [y/s]; they do not depend on e and l0.
+        """
         r = root_abs(sigma, ROOT_FLOOR)
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
 
@@ -133,7 +139,10 @@ class ApproximateSta1(NamedTuple):
         return SuperTwisting(self.kappa1, self.kappa2, self.delta)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
-        """phi_1 = kappa1 (r - delta ln(1 + r/delta)) sgn sigma."""
+        """phi_1 = kappa1 (r - delta ln(1 + r/delta)) sgn sigma.
+
+        ``root_law`` gives the gain phi_1/sigma and the rate phi_2/phi_1; e is not needed.
+        """
         return root_law(self.kappa1, root_abs(sigma), self.delta, at.tau_m)
 
 
@@ -153,7 +162,10 @@ class ApproximateSta2(NamedTuple):
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """Table 2, row 4: k_o tau_av = 2 (r + delta)/kappa1, tau_m = (kappa1/kappa2)(r + delta)."""
+        """Table 2, row 4: k_o tau_av = 2 (r + delta)/kappa1, tau_m = (kappa1/kappa2)(r + delta).
+
+        The values of k_o, tau_av and tau_m at sigma [y/s]; they do not depend on e and l0.
+        """
         r = root_abs(sigma) + self.delta
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
 
@@ -181,7 +193,10 @@ class SquareRoot(NamedTuple):
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """k_o = kappa_o (r + delta_o), tau_m = kappa_m (r + delta_m)."""
+        """k_o = kappa_o (r + delta_o), tau_m = kappa_m (r + delta_m).
+
+        tau_av is constant. The values at sigma [y/s] do not depend on e and l0.
+        """
         r = root_abs(sigma)
         return StateFunctions(self.kappa_o * (r + self.delta_o), self.tau_av, self.kappa_m * (r + self.delta_m))
 
@@ -212,7 +227,10 @@ class Field(NamedTuple):
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """tau_av = 2 r/(k_o kappa1) + delta, tau_m = kappa1 r/(2 kappa2) + delta."""
+        """tau_av = 2 r/(k_o kappa1) + delta, tau_m = kappa1 r/(2 kappa2) + delta.
+
+        k_o is constant. The values at sigma [y/s] do not depend on e and l0.
+        """
         r = root_abs(sigma)
         tau_av = 2.0 * r / (self.k_o * self.kappa1) + self.delta
         return StateFunctions(self.k_o, tau_av, self.kappa1 * r / (2.0 * self.kappa2) + self.delta)

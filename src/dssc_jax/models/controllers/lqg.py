@@ -1,19 +1,19 @@
 """LQG: a steady-state Kalman filter and a linear-quadratic regulator, both of the sampled nominal plant.
 
-With the command held, the plant is x(k+1) = A x(k) + B u(k) + w, and the measured signals are s = C x + D u(k-1) + v,
-because they are taken just before the new command acts. Per sample,
+With the command held, the plant is x(k+1) = A x(k) + B u(k) + w. The measured signals are s = C x + D u(k-1) + v,
+because they are taken just before the new command acts. At each sample,
 
     x^ = x- + L (s - C x- - D u(k-1)),   u = -K x^ - k_i z + N y_m within its limits,
     x-(k+1) = A x^ + B u,                z(k+1) = z + T_s (y - y_m).
 
-About an operating point (y_0, u_0, s_0) other than 0, these are the deviations u - u_0, s - s_0 and y_m - y_0. The
-model is that of the plant if it is linear, or the one that the table ``model`` states, such as a linearisation there.
+About an operating point (y_0, u_0, s_0) other than 0, the deviations u - u_0, s - s_0 and y_m - y_0 stand in these
+formulas. The model is the plant if that is linear, or the table ``model``, such as a linearisation at that point.
 
 K and k_i minimise the sum over the samples of q_y y^2 + sum of q_i x_i^2 + q_z z^2 + r u^2. L is the gain of the filter
-with the least variance for the stated standard deviations of w and v. Both follow from a discrete algebraic Riccati
-equation when the study is built, with the median in place of each law, so that every draw has the controller of the
-nominal plant. N makes the gain from y_m to y at rest equal to 1; if the plant has a zero there, N is 0. While the
-command is at a limit, z does not integrate errors that drive it further.
+with the least variance for the stated standard deviations of w and v. A discrete algebraic Riccati equation gives each
+of them when the study is built, with the median in place of each law, so that every draw has the controller of the
+nominal plant. N makes the gain from y_m to y at rest equal to 1; if the plant has a zero at z = 1, N is 0. While the
+command is at a limit, z does not integrate errors that drive the command further.
 
 In units, y stands for the unit of the plant's output, and u for the unit of its command.
 

@@ -53,7 +53,10 @@ class ConstantModulation(NamedTuple):
         return ()
 
     def at(self, state: tuple[()], signals: ModulationSignals, dt: Scalar) -> tuple[tuple[()], Scalar]:
-        """The state and the constant rho [u], whatever the signals."""
+        """The state and the constant rho [u], whatever the signals.
+
+        ``dt`` is not used: a constant needs no observer.
+        """
         return state, self.rho
 
 

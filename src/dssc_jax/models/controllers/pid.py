@@ -4,8 +4,8 @@
     I' = k_i (y_m - y) + (u - v)/T_t
     D  = k_d s/(T_f s + 1) (c y_m - y)
 
-D takes the slope of c y_m - y from one sample to the next, and so amplifies the noise of y. It uses neither a measured
-y' nor that of a differentiator. A derivative part on y' is in ``state_feedback``.
+D takes the slope of c y_m - y from one sample to the next, and so amplifies the noise of y. D does not use y', neither
+a measured one nor one from a differentiator. A derivative part on y' is in ``state_feedback``.
 
 The integral is sampled by forward Euler, so that I does not depend on the present command. The derivative is sampled by
 backward Euler, which is stable for every T_f >= 0.

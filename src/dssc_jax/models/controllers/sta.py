@@ -119,8 +119,8 @@ Carried: TypeAlias = Callable[[Scalar, Scalar, Scalar, Scalar, Scalar], Scalar]
 def explicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
     """The inverse of :func:`explicit_update` in v.
 
-    It returns the integral term v before a sample that gives ``w``, for a bumpless start. The other arguments are those
-    of :func:`explicit_update`; k2 and h do not enter the present w.
+    The result is the integral term v [y/s^2] before a sample that gives ``w`` [y/s^2], for a bumpless start. ``x`` and
+    the gains are as in :func:`explicit_update`; k2 and h do not enter the present w.
     """
     return w + k1 * root_abs(x) * sign(x)
 
@@ -128,8 +128,8 @@ def explicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) ->
 def implicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
     """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known.
 
-    It returns the integral term v before a sample that gives ``w``, for a bumpless start. The other arguments are those
-    of :func:`implicit_update`.
+    The result is the integral term v [y/s^2] before a sample that gives ``w`` [y/s^2], for a bumpless start. ``x``, the
+    gains and h are as in :func:`implicit_update`.
     """
     after = x + h * w
     return w + (k1 * root_abs(after) + h * k2) * sign(after)
@@ -138,8 +138,8 @@ def implicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) ->
 def proper_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
     """The inverse of :func:`proper_update` in v.
 
-    It returns the integral term v before a sample that gives ``w``, for a bumpless start. The other arguments are those
-    of :func:`proper_update`.
+    The result is the integral term v [y/s^2] before a sample that gives ``w`` [y/s^2], for a bumpless start. ``x``, the
+    gains and h are as in :func:`proper_update`.
     """
     xi = saturate(x / (h * h * k2), 1.0)
     s = root_of(jnp.abs(x) - h * h * k2, h * k1)

@@ -2,9 +2,9 @@
 
     u = u_0 - k_1 (y - y_m) - k_2 (y' - y_m') - k (s - s_0) + f (y_m - y_0) - k_i int (y - y_m) dt.
 
-Without measured signals s the state is (y, y'), what the class (5)-(8) measures; with n = 2 it is the plant's whole
-state. With ``measures = "state"``, s is the whole state of a linear plant of any order. Limits and anti-windup are
-those of the PID controller.
+Without measured signals s the controller feeds back y and y', which the class (5)-(8) measures; for n = 2 this is the
+plant's whole state. With ``measures = "state"``, s is the whole state of a linear plant of any order. The PID
+controller has the same limits and the same anti-windup.
 
 In units, y stands for the unit of the plant's output, and u for the unit of its command.
 
@@ -82,8 +82,8 @@ def init(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoi
 def proportional_part(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint) -> Scalar:
     """-(u - its integral part): k_1 (y - y_m) + k_2 (y' - y_m') + k (s - s_0) - f (y_m - y_0) - u_0.
 
-    It is the negative of the command without its integral part. A term that is known to be 0 before tracing is left out
-    of the program.
+    The command is its integral part minus this number. A term that is known to be 0 before tracing is left out of the
+    program.
     """
     total = gains.k_1 * (measurement.y - reference.y) + gains.k_2 * (measurement.y_dot - reference.y_dot)
     if gains.signals:
@@ -98,7 +98,8 @@ def step(
 ) -> tuple[FeedbackState, Command, FeedbackInfo]:
     """One sample of the state feedback; the integral takes the error of this sample from the next one on.
 
-    ``v`` is the command before its limits. At a limit u - v moves the integral back, so that it does not wind up.
+    ``v`` is the command before its limits, and ``u`` the command. At a limit the difference u - v moves the integral
+    back, so that the integral does not wind up.
     """
     error = measurement.y - reference.y
     v = state.integral - proportional_part(gains, measurement, reference)

@@ -52,9 +52,9 @@ class VgstaGains(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """Factors of phi_1 near the sampled sigma, in which s = |x|^(1/2).
+    """Factors of phi_1 and of its slope near the sampled sigma, where s = |x|^(1/2).
 
-    They are those of phi_1(x) = a s sgn x + b x and of its slope a_slope/(2 s) + b.
+    phi_1(x) is a s sgn x + b x, and its slope is a_slope/(2 s) + b.
     """
 
     a: Scalar
@@ -145,7 +145,8 @@ Carried: TypeAlias = Callable[[Scalar, Scalar, Shape, VariableGains, Scalar, Sca
 def explicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar) -> Scalar:
     """The inverse of :func:`explicit_update` in v.
 
-    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    The result is the integral term v [y/s^2] before a sample that gives ``w`` [y/s^2], for a bumpless start. The other
+    arguments are as in :func:`explicit_update`; h does not enter the present w.
     """
     return w + k_n * at.kappa1 * phi_at(x, shape).first
 
@@ -153,7 +154,8 @@ def explicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n:
 def implicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar) -> Scalar:
     """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known.
 
-    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    The result is the integral term v [y/s^2] before a sample that gives ``w`` [y/s^2], for a bumpless start. The other
+    arguments are as in :func:`implicit_update`.
     """
     phi_1, phi_2 = phi_at(x + h * w, shape)
     return w + k_n * (at.kappa1 * phi_1 + h * at.kappa2 * phi_2)

@@ -33,7 +33,11 @@ def lead_filter_init(params: LeadFilterParams, measurement: Measurement) -> Lead
 def lead_filter_step(
     params: LeadFilterParams, state: LeadFilterState, measurement: Measurement, dt: Scalar
 ) -> tuple[LeadFilterState, Measurement]:
-    """Exact solution of tau_f v' = y' - v over dt, for y linear between the samples."""
+    """Exact solution of tau_f v' = y' - v over dt, for y linear between the samples.
+
+    The filter's output v estimates y'. The exact solution moves v towards the slope of y by the share 1 -
+    exp(-dt/tau_f).
+    """
     share = -jnp.expm1(-dt / params.tau_f)
     slope = (measurement.y - state.y) / dt
     velocity = state.velocity + share * (slope - state.velocity)

@@ -43,7 +43,10 @@ class LevantState(NamedTuple):
 
 
 def levant_init(params: LevantParams, measurement: Measurement) -> LevantState:
-    """The differentiator at the first measurement: at y, with velocity zero."""
+    """The differentiator at the first measurement: at y, with velocity zero.
+
+    The velocity of the measurement is ignored.
+    """
     return LevantState(measurement.y, 0.0)
 
 
@@ -52,11 +55,11 @@ def levant_step(
 ) -> tuple[LevantState, Measurement]:
     """Backward Euler with the set-valued sign, solved exactly.
 
-    Let x = z0+ - y be the error after the sample, b = z0 + dt z1 - y the error of the prediction, and xi in Sgn x. They
-    obey x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
+    Let x = z0+ - y be the error after the sample, b = z0 + dt z1 - y the error of the prediction, and xi in Sgn x. A
+    sample solves x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
 
     For |b| <= dt^2 lambda_0 L the solution is x = 0: the differentiator slides, and z1+ is the backward difference of
-    y. It then neither chatters nor adds up rounding errors. Once reached, sliding persists, because b is then a second
+    y, without chatter or rounding errors that add up. Once reached, sliding persists, because b is then a second
     difference of y, at most L dt^2 < lambda_0 L dt^2. The error of the velocity is at most L dt/2, the least possible
     from samples. Outside of sliding, s = |x|^(1/2) solves a quadratic.
     """
@@ -74,7 +77,8 @@ def backward_difference_step(
 ) -> tuple[LevantState, Measurement]:
     """One sample of the differentiator while it slides, z0 = y: its velocity is the backward difference of y.
 
-    It is :func:`levant_step` without the sign, so that it has a derivative everywhere.
+    This is :func:`levant_step` without the sign, so that the result has a derivative everywhere. The parameters are not
+    used, because the gains have no effect in sliding.
     """
     velocity = (measurement.y - state.z0) / dt
     return LevantState(measurement.y, velocity), Measurement(measurement.y, velocity)

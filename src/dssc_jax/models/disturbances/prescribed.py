@@ -44,10 +44,10 @@ class SineDisturbanceParams(NamedTuple):
 class SplineParams(NamedTuple):
     """A cubic spline with knots ``interval`` apart, the first at the time ``at``.
 
-    The spline can approximate any signal of bounded amplitude and slope. It is d = sum of knots[i] B((t - at)/interval
-    - i) with the cubic B-spline B. |d| is at most the largest |knot|, and |d'| at most the largest difference of
-    consecutive knots divided by the interval. The spline begins at 0 two intervals before the first knot, and ends at
-    0 two intervals after the last knot.
+    With the cubic B-spline B it is d = sum of knots[i] B((t - at)/interval - i), which can approximate any signal of
+    bounded amplitude and slope. |d| is at most the largest |knot|, and |d'| at most the largest difference of
+    consecutive knots divided by the interval. The spline begins at 0 two intervals before the first knot, and ends at 0
+    two intervals after the last knot.
     """
 
     knots: Annotated[tuple[Scalar, ...], Quantity("u", "coefficient of the spline at a knot")]
@@ -75,7 +75,10 @@ def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: 
 def sine_value(
     params: SineDisturbanceParams, state: State, measurement: Measurement, sigma: Scalar, t: Scalar
 ) -> Scalar:
-    """The sine [u] at t [s]."""
+    """The sine [u] at t [s].
+
+    The sine depends on the time alone; the other arguments are those of every disturbance.
+    """
     return params.amplitude * jnp.sin(2.0 * math.pi / params.period * t + params.phase)
 
 
@@ -87,7 +90,10 @@ def check_knots(params: SplineParams) -> SplineParams:
 
 
 def spline_value(params: SplineParams, state: tuple[()], measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
-    """The spline [u] at t [s]."""
+    """The spline [u] at t [s].
+
+    The spline depends on the time alone; the other arguments are those of every disturbance.
+    """
     return cubic_spline(params.knots, (t - params.at) / params.interval)
 
 

@@ -103,7 +103,10 @@ class FmuPlant:
 
     @property
     def connected_inputs(self) -> tuple[Connection, ...]:
-        """The inputs that are set before each step: the command, a disturbance input if there is one, and the named inputs."""
+        """The inputs that are set before each step.
+
+        They are the command, the disturbance if it has an input of its own, and the named inputs.
+        """
         disturbance = () if self.disturbance_input is None else (self.disturbance_input,)
         return (self.command, *disturbance, *self.inputs)
 

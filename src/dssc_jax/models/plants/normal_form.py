@@ -58,7 +58,7 @@ def linear(params: NormalFormParams) -> LinearDynamics:
 
 
 def measure(params: NormalFormParams, state: NormalFormState, drive: PlantInput) -> Measurement:
-    """The output y = x1 (8) and its derivative y' = x2 (6), neither of which depends on the input."""
+    """The output y = x1 (8) and its derivative y' = x2 (6), which depend neither on the input nor on the parameters."""
     del params, drive
     return Measurement(state.x1, state.x2)
 

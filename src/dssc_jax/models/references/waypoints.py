@@ -154,7 +154,13 @@ def check_numbers(params: WaypointParams) -> None:
 
 
 def require_in_range(name: str, value: float, quantity: Quantity) -> None:
-    """Require a finite number in the range of a quantity; raises ConfigError."""
+    """Require a finite number in the range of a quantity; raises ConfigError.
+
+    Args:
+        name: Place of the number, for the message.
+        value: The number.
+        quantity: Unit, meaning and range.
+    """
     violation = quantity.violated_by(value, value)  # a number is an interval whose ends are equal
     if violation is None and not math.isfinite(value):
         violation = "must be finite"

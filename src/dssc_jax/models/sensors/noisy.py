@@ -87,7 +87,13 @@ def prepare(params: NoisyParams) -> NoisyParams:
 
 
 def reading(params: NoisyParams, measurement: Measurement, key: jax.Array) -> Measurement:
-    """A new reading of a measurement: with constant errors and noise, rounded to the resolution."""
+    """A new reading of a measurement: with constant errors and noise, rounded to the resolution.
+
+    Args:
+        params: Errors, noise and resolution.
+        measurement: The true measurement.
+        key: Random key of the sample.
+    """
     position_noise, velocity_noise = standard_normals(key, 2)
     y = measurement.y + params.position_bias + params.position_std * position_noise
     y_dot = measurement.y_dot + params.velocity_bias + params.velocity_std * velocity_noise

@@ -83,7 +83,11 @@ def step(
 
 
 def recorded_sensor(start: NoiseStart) -> Sensor:
-    """Make the sensor whose noise is a record with held values, at its first value or at a random time of it."""
+    """Make the sensor whose noise is a record with held values.
+
+    Args:
+        start: Whether the noise begins at the record's first value, or at a random time of the record.
+    """
 
     def init(noise: RecordedNoise, measurement: Measurement, key: jax.Array) -> Scalar:
         """The time of the record at which the draw begins [s]."""

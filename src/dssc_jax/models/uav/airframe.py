@@ -238,7 +238,7 @@ def article_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTabl
 def control_entries(parameters: Mapping[str, float], notes: list[str], use_px4_cascade: bool) -> TomlTable:
     """Make the entries of ``[plant]`` for the desaturation and for the inner loop.
 
-    The desaturation is that of MC_AIRMODE, by default 0.
+    MC_AIRMODE, by default 0, chooses the desaturation.
 
     Args:
         parameters: The file's parameters.

@@ -179,10 +179,10 @@ def drag_entries(parameters: Mapping[str, float], speeds: float, notes: list[str
 def coefficient_entries(
     parameters: Mapping[str, float], lift: float, hover_speed: float | None, notes: list[str]
 ) -> TomlTable:
-    """Make the vehicle's thrust coefficient, and tell whether its coefficients are those of the rotors.
+    """Make the vehicle's thrust coefficient, and tell whether its coefficients are true or nominal.
 
-    The coefficients are those of the rotors if their speed in hover is known and if SIH_Q_MAX and SIH_T_MAX give the
-    torque. Otherwise they are nominal: CA_ROTORi_KM, for example, is only what the allocation assumes.
+    Thrust and torque coefficients are true if the rotors' speed in hover is known and if SIH_Q_MAX and SIH_T_MAX give
+    the torque. Otherwise they are nominal: a torque from CA_ROTORi_KM, for example, is an assumption of the allocation.
 
     Args:
         parameters: The file's parameters.

@@ -1,8 +1,8 @@
 """What an allocation gives up where rotors would exceed their limits.
 
 PX4's sequential desaturation moves the thrusts along the directions of net thrust, roll, pitch and yaw, one after the
-other, until no rotor exceeds its limits, or as little as possible. Yaw is given up first, then roll and pitch; net
-thrust is raised only in the modes of airmode.
+other, until the rotors keep their limits or exceed them as little as possible. Yaw is given up first, then roll and
+pitch. Net thrust is raised only in the modes of airmode.
 
 Source: PX4's ControlAllocationSequentialDesaturation, versions 1.13 to 1.15, whose modes are those of MC_AIRMODE, and
 the scale of the directions in ControlAllocationPseudoInverse. PX4's actuators range from 0 to 1, and its z points down.
@@ -35,8 +35,8 @@ ROUNDING_OF_ROTORS = 1e-9
 class Desaturation(StrEnum):
     """How thrusts are kept within their limits.
 
-    ``clip`` clips each thrust by itself. The others are PX4's sequential desaturation in the modes of MC_AIRMODE: they
-    name the axes for which net thrust may be raised.
+    ``clip`` clips each thrust by itself. The other modes are PX4's sequential desaturation with the modes of
+    MC_AIRMODE. Their names tell the axes for which net thrust may be raised.
     """
 
     CLIP = "clip"

@@ -222,7 +222,10 @@ def motion_of(state: UavState) -> Motion:
 
 
 def with_estimate(estimator: Estimator, state: UavState, memory: State) -> tuple[UavState, State]:
-    """The state with the error of the estimate in an estimator's memory, and this memory."""
+    """The state with the error of the estimate in an estimator's memory, and this memory.
+
+    The error is the estimate minus the true motion; the estimator's normalised squared error stands beside it.
+    """
     motion = motion_of(state)
     estimate = memory.estimate
     error = EstimationError(

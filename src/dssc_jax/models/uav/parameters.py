@@ -1,4 +1,4 @@
-"""Parameters of the complete UAV, and what follows from their nominal values before tracing."""
+"""Parameters of the complete UAV, and the numbers that follow from their nominal values before tracing."""
 
 from collections.abc import Sequence
 from typing import Annotated, NamedTuple

@@ -124,11 +124,11 @@ def first_integrals_of_article(params: UavParams, trimmed: Trim | None) -> Integ
 
 
 class RotorCommands(NamedTuple):
-    """What the inner loop and the allocation demand.
+    """The demand of the inner loop and the commands of the allocation.
 
     Args:
         thrust: Demanded net thrust [N].
-        rotors: Commanded thrusts of the rotors.
+        rotors: Commanded thrusts of the rotors [N], and whether a limit was exceeded.
         bounded: Whether the wanted lift is at its lower bound.
         slope: Derivative of the inner loop's state; zeros for a sampled one, whose state is held.
     """
@@ -169,12 +169,12 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
 
 
 class DrivenRotors(NamedTuple):
-    """The motion of the rotors, and what supplies it.
+    """The motion of the rotors, and the battery's supply.
 
     Args:
         commanded: Motion that the commands ask for.
         actual: Motion with the battery's voltage and the rotors' faults.
-        supply: Voltage and current of the battery; 1 and 0 without a battery.
+        supply: Relative voltage and current of the battery; 1 and 0 without a battery.
     """
 
     commanded: RotorMotion

@@ -24,7 +24,7 @@ SHORTEST_AXIS = 1e-3
 
 @jax.tree_util.register_static
 class RotorCoefficients(StrEnum):
-    """Whether a vehicle's thrust and torque coefficients are those of its rotors.
+    """Whether a vehicle's thrust and torque coefficients are the true coefficients of its rotors.
 
     Nominal coefficients give the vehicle's thrusts, but neither the speeds of its rotors nor the power that they take.
     """

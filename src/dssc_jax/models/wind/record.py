@@ -36,7 +36,13 @@ class RecordedWindParams(NamedTuple):
 
 
 def wind_at(pieces: tuple[Pieces, ...], state: tuple[()], t: Scalar) -> Vec3:
-    """The wind at t [s]: the three components of the record [m/s]."""
+    """The wind at t [s]: the three components of the record [m/s].
+
+    Args:
+        pieces: The components x, y, z of the record as functions of time.
+        state: Not used: the wind has no memory.
+        t: Time [s].
+    """
     x, y, z = pieces
     return Vec3(piece_at(x, t).y, piece_at(y, t).y, piece_at(z, t).y)
 

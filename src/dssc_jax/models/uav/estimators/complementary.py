@@ -1,4 +1,4 @@
-"""Complementary filter: the inertial unit in the short run, the other sensors in the long run, with constant gains.
+"""Complementary filter: the inertial unit gives the fast motion, other sensors the slow one, with constant gains.
 
     tilt:     the rotation of a sample T is corrected by k_tilt T (a/|a| x R' e3)
     heading:  the same rotation by k_heading T (psi_m - psi) about the vertical

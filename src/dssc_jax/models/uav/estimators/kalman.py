@@ -176,7 +176,7 @@ class KalmanFilter(NamedTuple):
         """The estimate after the updates by position, height and heading, and the covariance of its error.
 
         A sensor that is None is absent. The corrections of one sample add up to an error state, which is added to the
-        estimate at the end; the attitude is turned by its part.
+        estimate at the end; its attitude part turns the estimated attitude.
         """
         update = Update(memory.covariance, (0.0,) * STATES)
         estimate = memory.estimate
@@ -251,7 +251,13 @@ def half_drift(dt: float) -> tuple[Sparse, ...]:
 
 
 def entry(covariance: Covariance, i: int, j: int) -> Scalar:
-    """Entry (i, j) of a symmetric matrix of which the lower triangle is stored."""
+    """Entry (i, j) of a symmetric matrix of which the lower triangle is stored.
+
+    Args:
+        covariance: The lower triangle.
+        i: Row, from 0.
+        j: Column, from 0.
+    """
     return covariance[i][j] if i >= j else covariance[j][i]
 
 

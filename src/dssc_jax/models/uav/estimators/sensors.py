@@ -154,7 +154,13 @@ class Random(NamedTuple):
     key: jax.Array
 
     def numbers(self, place: int, std: Scalar | None, count: int) -> tuple[Scalar, ...]:
-        """``count`` numbers with mean 0 and standard deviation ``std``."""
+        """``count`` numbers with mean 0 and standard deviation ``std``.
+
+        Args:
+            place: Number that tells these random numbers apart from others of the same key.
+            std: Standard deviation; None counts as 0.
+            count: How many numbers.
+        """
         if std is None or is_zero(std):
             return (0.0,) * count
         return tuple(number * std for number in standard_normals(jax.random.fold_in(self.key, int(place)), count))
@@ -202,7 +208,7 @@ def heading_of(attitude: Quaternion) -> Scalar:
 
 
 def start_sensors(sensors: Sensors, motion: Motion, random: Random) -> SensorMemory:
-    """The sensors at t = 0, with random biases; delayed positions are as if the vehicle had been at rest at its place."""
+    """The sensors at t = 0, with random biases and with delayed positions as if the vehicle had rested at its place."""
     return SensorMemory(
         previous=motion,
         gyro_bias=random.vector(StartPlace.GYRO_BIAS, sensors.gyro_bias),
@@ -216,7 +222,7 @@ def sense(
 ) -> tuple[SensorMemory, Increments, Aids]:
     """The readings of all sensors at sample k, from the true motion.
 
-    A reading that is not taken at this sample has a value all the same, beside the flag that says so.
+    A reading that is not taken at this sample has a value nevertheless; its flag tells that the value does not count.
 
     Args:
         sensors: Parameters of the sensors.

@@ -6,7 +6,7 @@
 
 All derivatives are of the measurement, and there is no compensation of the tilt. The firmware's units are degrees
 and motor commands of 16 bit; here they are radians and shares of the full thrust, so the firmware's gains are converted
-by 180/pi/65535. A roll or pitch command changes each rotor by half of it, and a yaw command by all of it.
+by 180/pi/65535. A roll or pitch command changes each rotor by half the command, and a yaw command by the whole command.
 
 References:
     Bitcraze, crazyflie-firmware, controller_pid.c, position_controller_pid.c, attitude_pid_controller.c, pid.c,
@@ -194,7 +194,8 @@ class CrazyflieGains(NamedTuple):
     def trimmed(self, craft: Craft, state: "CrazyflieState", trim: Trim) -> "CrazyflieState":
         """The state whose integrals hold a trim; their numbers in the study add to it.
 
-        An integral without a gain stays at the study's number, and nothing holds that part of the trim.
+        The study's start values of the integrals are added to the values that hold the equilibrium. An integral without
+        a gain stays at the study's number, and nothing holds that part of the trim.
         """
         lacking = (trim.thrust - self.hover_thrust(craft)) / craft.full_thrust
         held = Vec3(

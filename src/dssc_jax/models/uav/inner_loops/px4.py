@@ -366,7 +366,7 @@ class Px4Gains(NamedTuple):
 
 
 class Px4State(NamedTuple):
-    """State of the cascade; what is held goes from a sample of the loop to the ticks within it.
+    """State of the cascade; held values go from a sample of the loop to the ticks within it.
 
     Args:
         velocity_integral: I of the velocity loops [m/s^2].

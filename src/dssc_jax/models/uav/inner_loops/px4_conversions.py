@@ -14,8 +14,8 @@ from dssc_jax.models.uav.inner_loops.sampled import Craft, half_angle, half_turn
 def torque_units(craft: Craft) -> Vec3:
     """The moment of a torque setpoint of 1 in PX4, whose allocation scales the pseudo-inverse [N m].
 
-    A torque setpoint of 1 changes a rotor with an average entry in its column of the allocation by the rotor's limit.
-    Roll and pitch share one scale, see :func:`dssc_jax.models.uav.desaturation.scales_of`.
+    A setpoint of 1 changes the thrust of a rotor by its limit if the rotor's entry in the column of the allocation is
+    the column's scale. Roll and pitch share one scale, see :func:`dssc_jax.models.uav.desaturation.scales_of`.
     """
     scales = scales_of(craft.allocation)
     tilting = craft.rotor_limit / scales.turning

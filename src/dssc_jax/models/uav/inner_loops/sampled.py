@@ -189,13 +189,16 @@ def smoothing(cutoff: float | None, dt: float) -> float:
 def blend(old: Vec3, new: Vec3, weight: float) -> Vec3:
     """One step of a first-order low-pass filter.
 
-    ``weight`` is the weight of the new value, from :func:`smoothing`.
+    Args:
+        old: The filtered value so far.
+        new: The new value.
+        weight: Weight of the new value in (0, 1], from :func:`smoothing`; with 1 there is no filter.
     """
     return new if weight == 1.0 else old + (new - old) * weight
 
 
 class LowPass(NamedTuple):
-    """State of a second-order filter in direct form II: its last internal value, and the one before it (``earlier``)."""
+    """State of a second-order filter in direct form II: the last internal value, and the one before (``earlier``)."""
 
     last: Vec3
     earlier: Vec3
@@ -217,6 +220,11 @@ def settled_low_pass(value: Vec3, cutoff: float, dt: float) -> LowPass:
     """The filter's state after a constant input.
 
     Both internal values are then value/(4 b_0), because the numerator's coefficients sum to 4 b_0.
+
+    Args:
+        value: The input.
+        cutoff: Cutoff frequency [Hz].
+        dt: Time between two values [s].
     """
     b0, _, _ = butterworth(cutoff, dt)
     return LowPass(value * (0.25 / b0), value * (0.25 / b0))
@@ -224,6 +232,12 @@ def settled_low_pass(value: Vec3, cutoff: float, dt: float) -> LowPass:
 
 def low_pass(state: LowPass, value: Vec3, cutoff: float, dt: float) -> tuple[LowPass, Vec3]:
     """One step of the second-order Butterworth low-pass.
+
+    Args:
+        state: The filter's state.
+        value: The new value.
+        cutoff: Cutoff frequency [Hz], below 1/(2 dt).
+        dt: Time between two values [s].
 
     Returns:
         The next state, and the filtered value.
