@@ -88,7 +88,10 @@ class OperationCount:
         return Counter() if is_free else Counter([value.operation])
 
     def loop(self, loop: CodeLoop, start: int) -> Counter[str]:
-        """Count the operations of a loop's body once; arguments as for :meth:`block`."""
+        """Count the operations of a loop's body once; arguments as for :meth:`block`.
+
+        Its results are as deep as its deepest initial or next state, because the number of iterations is not known.
+        """
         self.loops += 1
         counts = self.block(loop.body, self.deepest(loop.initial_states, start))
         self.finish(loop.results, self.deepest([*loop.initial_states, *loop.next_states], start))
@@ -102,7 +105,10 @@ class OperationCount:
         return max(counts_of_sides, key=Counter.total)
 
     def deepest(self, values: Iterable[Value], start: int) -> int:
-        """The depth at which all of some values are computed, in a block that begins at the depth ``start``."""
+        """The depth at which all of some values are computed, in a block that begins at the depth ``start``.
+
+        A value that has no depth yet, such as an input of the program, counts with the depth 0.
+        """
         return max([start, *(self.depths.get(id(value), 0) for value in values)])
 
     def finish(self, results: Iterable[Value], depth: int) -> None:

@@ -47,7 +47,10 @@ class FmuVariable(NamedTuple):
 
 
 def channel_variable(controller: SampledController, name: str) -> str:
-    """The name in the FMU of a channel's variable, with the channel in front as in trajectories."""
+    """The name in the FMU of a channel's variable, with the channel in front as in trajectories.
+
+    The only channel of a plant has no name, and adds none.
+    """
     return f"{controller.channel}.{name}" if controller.channel else name
 
 
@@ -72,7 +75,10 @@ def fmu_parameters(code: FlightCode) -> list[FmuVariable]:
 
 
 def parameter_variable(controller: SampledController, parameter: Parameter) -> FmuVariable:
-    """The variable of a parameter, with the study's value as its start, rounded to the controller's numbers."""
+    """The variable of a parameter, with the study's value as its start, rounded to the controller's numbers.
+
+    Lower and upper bounds are those of the parameter's quantity; a number that the study computes has none.
+    """
     name = parameter_name(controller, parameter)
     start = float(controller.real.type(parameter.value))
     quantity = parameter.quantity

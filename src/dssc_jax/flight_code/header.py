@@ -102,7 +102,12 @@ def member_text(kind: str, name: str, explanation: str) -> str:
 
 
 def is_angle(study: Study, controller: SampledController) -> bool:
-    """Whether the output of the channel is an angle."""
+    """Whether the output of the channel is an angle.
+
+    Args:
+        study: The study, whose plant names the channels of angles.
+        controller: The controller of the channel.
+    """
     return controller.channel in study.loop.plant.angles
 
 

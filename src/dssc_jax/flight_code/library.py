@@ -95,7 +95,12 @@ def read_parameters(controller: SampledController) -> list[Parameter]:
 
 
 def table_lines(name: str, rows: Sequence[str]) -> list[str]:
-    """The definition of a table in C; none without rows, because C has no empty tables."""
+    """The definition of a table in C; none without rows, because C has no empty tables.
+
+    Args:
+        name: Name of the table in C.
+        rows: The rows in C.
+    """
     if not rows:
         return []
     return [f"static const dssc_jax_number {name}[] = {{", *(f"    {row}," for row in rows), "};"]

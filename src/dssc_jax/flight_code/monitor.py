@@ -276,7 +276,10 @@ def is_outside(number: Scalar, interval: Interval, rounding: Scalar) -> jax.Arra
 
 
 def plane_norm(x: Scalar, y: Scalar) -> Scalar:
-    """The norm of a vector of the plane."""
+    """The norm of a vector of the plane.
+
+    x and y are the components of the vector.
+    """
     return jnp.sqrt(x * x + y * y)
 
 

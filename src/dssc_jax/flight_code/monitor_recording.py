@@ -33,7 +33,12 @@ Carry: TypeAlias = tuple[LoopState, Scalar, tuple[MonitorState, MonitorState]]
 
 
 def sample_of(premises: Premises, recorded: Recorded) -> MonitorSample:
-    """The monitor's inputs at a simulated sample; () in place of each number that no bound of ``premises`` uses."""
+    """The monitor's inputs at a simulated sample; () in place of each number that no bound of ``premises`` uses.
+
+    Args:
+        premises: The bounds of the monitor.
+        recorded: The record of one sample of the simulated loop.
+    """
     channels = []
     for channel, controlled, reference in zip(premises.channels, recorded.controlled, recorded.references, strict=True):
         command = () if channel.disturbance is None else controlled.command.total

@@ -119,7 +119,12 @@ def numbers_of_draws(study: Study, indices: np.ndarray, constants: Mapping[str, 
 
 
 def parameter_comment(number: int, parameter: Parameter) -> str:
-    """The comment on a parameter in C: its number, unit, meaning, range and the study's value."""
+    """The comment on a parameter in C: its number, unit, meaning, range and the study's value.
+
+    Args:
+        number: Number of the parameter, from 1 on, which the check of the parameters returns.
+        parameter: The parameter.
+    """
     quantity = parameter.quantity
     median = ", median of its law" if parameter.uncertain else ""
     if quantity is None:

@@ -155,7 +155,12 @@ class Premises:
 
 
 def rounded_up(value: float, real: np.dtype) -> float:
-    """The smallest number of a dtype that is not below a value."""
+    """The smallest number of a dtype that is not below a value.
+
+    Args:
+        value: The value, in double precision.
+        real: The dtype.
+    """
     nearest = real.type(value)
     if float(nearest) >= value:
         return float(nearest)
@@ -169,7 +174,10 @@ def rounded_outwards(interval: Interval, real: np.dtype) -> Interval:
 
 
 def rounded_channel(channel: ChannelPremises, real: np.dtype) -> ChannelPremises:
-    """The bounds of a channel in another dtype, rounded outwards."""
+    """The bounds of a channel in another dtype, rounded outwards.
+
+    The bounds of the lag stay as they are; l0 is no bound, and stays, too.
+    """
     disturbance = channel.disturbance
     if disturbance is not None:
         disturbance = replace(

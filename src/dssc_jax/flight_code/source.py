@@ -138,7 +138,10 @@ def parameter_pointer(controller: SampledController, function: FunctionText) -> 
 
 
 def start_function(code: FlightCode, controller: SampledController) -> FunctionText:
-    """The function in C that computes the state before the first step."""
+    """The function in C that computes the state before the first step.
+
+    It is a function of parameters, measurement and reference; an argument that it does not read is cast to void.
+    """
     function = FunctionText(code, controller, controller.start)
     function.compute(function.outputs)
     function.assign([f"state->{state}" for state in controller.states], function.outputs)
@@ -148,7 +151,12 @@ def start_function(code: FlightCode, controller: SampledController) -> FunctionT
 
 
 def valid_signals(code: FlightCode, controller: SampledController) -> str:
-    """The condition in C that all signals are finite, and angles not so large that a turn is below their resolution."""
+    """The condition in C that all signals are finite, and angles not so large that a turn is below their resolution.
+
+    Args:
+        code: The controllers of the study.
+        controller: The controller.
+    """
     conditions = [finite_condition(controller.signals)]
     if is_angle(code.study, controller):
         limit = c_literal(controller.real.type(LARGEST_ANGLE), controller.real)

@@ -44,7 +44,12 @@ class TracedMonitor:
 
 
 def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
-    """Trace the monitor of a study's flight, with bounds that are rounded outwards to the code's numbers."""
+    """Trace the monitor of a study's flight, with bounds that are rounded outwards to the code's numbers.
+
+    Args:
+        code: The controllers of the study, which give the monitor its precision and the prefix of its names.
+        premises: The premises of the study's certificate.
+    """
     rounded_premises = premises.rounded(np.dtype(f"float{code.precision}"))
 
     # Generated C would repeat a docstring of this function; TracedMonitor tells what it computes.

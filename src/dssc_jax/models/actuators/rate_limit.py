@@ -23,7 +23,11 @@ class RateLimitParams(NamedTuple):
 def step(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> tuple[Scalar]:
     """The output z [u] after dt [s] with a constant command u, by the exact solution of z' = rate sgn(u - z).
 
-    The state is the output alone.
+    Args:
+        params: The largest rate.
+        state: The output z at the start of the step, alone.
+        command: The command u [u].
+        dt: Length of the step [s].
     """
     (z,) = state
     return (z + saturate(command - z, params.rate * dt),)
@@ -59,7 +63,7 @@ def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: 
 
     The output is a ramp that reaches the command after the share s of dt, and then stays there; s = 1 if it does not
     reach the command within dt. Let d be the change of the output over dt. The mean of the output is its final value
-    less s d/2, and the straight line rises by s (3 - 2 s) d.
+    less s d/2, and the straight line rises by s (3 - 2 s) d. Arguments are as for :func:`step`.
     """
     (z,) = state
     reach = params.rate * dt

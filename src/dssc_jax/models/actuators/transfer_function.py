@@ -88,10 +88,14 @@ def as_rows(matrix: np.ndarray) -> Matrix:
 
 
 def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Realisation:
-    """The controllable canonical form of G(mu s), from its coefficients in rising powers of mu s.
+    """The controllable canonical form of G(mu s).
 
-    In the unit of time of :func:`scale_time` the denominator is monic, so that the direct feedthrough is
-    the last coefficient of the numerator.
+    In the unit of time of :func:`scale_time` the denominator is monic, so that the direct feedthrough is the last
+    coefficient of the numerator.
+
+    Args:
+        numerator: Coefficients in rising powers of mu s.
+        denominator: Coefficients in rising powers of mu s.
     """
     unit, scaled_denominator = scale_time(denominator)
     # the numerator over the denominator's first coefficient, in rising powers of s' = unit mu s

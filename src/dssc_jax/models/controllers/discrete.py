@@ -195,7 +195,12 @@ def prepare_matrix(gains: MatrixGains) -> MatrixGains:
 
 
 def require_sample_time(gains: G, setting: LoopSetting) -> G:
-    """The gains themselves, whose stated T_s must be the loop's; None: they state none. Raises ConfigError."""
+    """The gains themselves, whose stated T_s must be the loop's; None: they state none. Raises ConfigError.
+
+    Args:
+        gains: Coefficients or matrices, with the T_s for which they were designed [s].
+        setting: The loop, with its T_s.
+    """
     if gains.sample_time is None:
         return gains
     design_time = float(gains.sample_time)

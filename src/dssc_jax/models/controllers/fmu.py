@@ -116,7 +116,8 @@ class FmuController:
     ) -> tuple[tuple[Scalar, ...], Command, Info]:
         """One sample: the FMU gets the signals of the sample, makes a step, and its output is the command.
 
-        All of the command is its robust part u; the nominal part u_n is 0.
+        The whole command is the robust part u, and the nominal part u_n is 0. Other outputs of the FMU that the study
+        reports are the info.
         """
         error = reference.y - measurement.y
         signals = SampledSignals(measurement.y, measurement.y_dot, *reference, error)

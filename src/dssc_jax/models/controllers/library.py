@@ -189,7 +189,12 @@ class NativeCalls:
 
 @cache
 def controller_of(library: NativeLibrary, name: str) -> Controller:
-    """The model of a library's controller, by the controller's name; the library must have it."""
+    """The model of a library's controller, by the controller's name; the library must have it.
+
+    Args:
+        library: The library.
+        name: Name of the controller.
+    """
     controller = next(candidate for candidate in library.controllers if candidate.name == name)
     calls = NativeCalls(library, controller)
     info = info_type(controller)
@@ -231,7 +236,12 @@ def named_signals(controller: NativeController) -> tuple[NamedSignal, ...]:
 
 
 def gains_type(controller: NativeController, defaults: dict[str, float]) -> Any:
-    """Make the NamedTuple type of the gains: the library's parameters with its defaults, and l0 for the metrics."""
+    """Make the NamedTuple type of the gains: the library's parameters with its defaults, and l0 for the metrics.
+
+    Args:
+        controller: The description of the controller in the library.
+        defaults: Default of each parameter by name.
+    """
     quantities = {number.name: number.quantity for number in controller.parameters}
     return named_type("Gains", {"l0": L0} | quantities, {"l0": 1.0} | defaults)
 

@@ -192,6 +192,11 @@ def correction_matrix(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) ->
 def numbers_or_zeros(name: str, values: Row, count: int) -> tuple[float, ...]:
     """The values of the field ``name`` as plain numbers, or ``count`` zeros if it has none.
 
+    Args:
+        name: Name of the field, for the message.
+        values: The values; () if the study gives none.
+        count: Required number of values.
+
     Raises:
         ConfigError: The field has values, but not ``count`` of them.
     """
@@ -317,9 +322,9 @@ def step(
 ) -> tuple[LqgState, Command, LqgInfo]:
     """One sample: correct, command, predict.
 
-    The measured signals correct the predicted state to an estimate; the command follows from the estimate, the integral
-    and the reference, within its limits; the model predicts the state at the next sample. The integral does not take an
-    error that drives the command further beyond a limit.
+    The measured signals correct the predicted state to an estimate. The command follows from the estimate, the integral
+    and the reference, within its limits. The model then predicts the state at the next sample. The integral does not
+    take an error that drives the command further beyond a limit.
     """
     # signals and the last command as deviations from the operating point
     shown = (difference(measurement.y, gains.resting_output),)

@@ -108,7 +108,8 @@ def transfer(
 ) -> PidState:
     """The integral part that leaves the command as it is, with the derivative at rest; 0 without integral action.
 
-    The first step from the returned state gives the command, for a bumpless start.
+    With integral action, and within the limits, the first step from the returned state gives the command, for a
+    bumpless start. ``dt`` is not used, because the integral part of a sample does not include its own error.
     """
     proportional = gains.k_p * (gains.proportional_weight * reference.y - measurement.y)
     integral = jnp.where(gains.k_i > 0.0, command - proportional, 0.0)

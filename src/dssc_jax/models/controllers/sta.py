@@ -89,9 +89,9 @@ def explicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> 
 def implicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
     """Backward Euler, solved exactly: never chatters, |x| = O(h) in sliding.
 
-    Arguments and results are as for :func:`explicit_update`. Without a disturbance the sample leads from x to
-    x+ = b - h k1 |x+|^(1/2) sgn x+ - h^2 k2 xi with b = x + h v and xi in Sgn x+. For |b| <= h^2 k2 the solution is
-    x+ = 0; else s = |x+|^(1/2) solves a quadratic.
+    Arguments and results are as for :func:`explicit_update`. Let b = x + h v, and xi in Sgn x+. Without a disturbance
+    the sample leads from x to x+ = b - h k1 |x+|^(1/2) sgn x+ - h^2 k2 xi. For |b| <= h^2 k2 the solution is x+ = 0;
+    else s = |x+|^(1/2) solves a quadratic.
     """
     b = x + h * v
     sliding = jnp.abs(b) <= h * h * k2

@@ -115,7 +115,8 @@ def transfer(
 ) -> FeedbackState:
     """The integral part that leaves the command as it is; 0 without integral action.
 
-    The first step from the returned state gives the command, for a bumpless start.
+    With integral action, and within the limits, the first step from the returned state gives the command, for a
+    bumpless start. ``dt`` is not used, because the integral part of a sample does not include its own error.
     """
     needed = command + proportional_part(gains, measurement, reference)
     return FeedbackState(jnp.where(gains.k_i > 0.0, needed, 0.0))

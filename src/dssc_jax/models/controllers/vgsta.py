@@ -88,7 +88,12 @@ class Phi(NamedTuple):
 
 
 def phi_at(x: Scalar, shape: Shape) -> Phi:
-    """phi_1 and phi_2. Apart from its sign, phi_1 phi_1' is even in s = |x|^(1/2), hence bounded at 0."""
+    """phi_1 and phi_2. Apart from its sign, phi_1 phi_1' is even in s = |x|^(1/2), hence bounded at 0.
+
+    Args:
+        x: Where both are evaluated [y/s].
+        shape: Factors of phi_1 and its slope.
+    """
     s = root_abs(x)
     first = (shape.a + shape.b * s) * s * sign(x)
     second = (shape.a + shape.b * s) * (0.5 * shape.a_slope + shape.b * s) * sign(x)
@@ -162,7 +167,12 @@ def implicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n:
 
 
 def gains_of_sample(gains: VgstaGains, error: TrackingError) -> VariableGains:
-    """The variable gains kappa_1 and kappa_2 at the sampled (sigma, e)."""
+    """The variable gains kappa_1 and kappa_2 at the sampled (sigma, e).
+
+    Args:
+        gains: Gains of the VGSTA.
+        error: Tracking errors sigma [y/s] and e [y].
+    """
     coefficients = (gains.kappa_a, gains.kappa_b, gains.kappa_c, gains.kappa_d)
     return variable_gains(error.sigma, error.e, coefficients, gains.epsilon, gains.gamma)
 

@@ -38,7 +38,10 @@ class HighGainState(NamedTuple):
 
 
 def high_gain_init(params: HighGainParams, measurement: Measurement) -> HighGainState:
-    """The observer at the first measurement: at y, with velocity zero."""
+    """The observer at the first measurement: at y, with velocity zero.
+
+    The velocity of the measurement is ignored.
+    """
     return HighGainState(measurement.y, 0.0)
 
 

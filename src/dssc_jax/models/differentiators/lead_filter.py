@@ -26,7 +26,10 @@ class LeadFilterState(NamedTuple):
 
 
 def lead_filter_init(params: LeadFilterParams, measurement: Measurement) -> LeadFilterState:
-    """The filter at the first measurement: its output is zero, as if y had been constant before."""
+    """The filter at the first measurement: its output is zero, as if y had been constant before.
+
+    The velocity of the measurement is ignored.
+    """
     return LeadFilterState(measurement.y, 0.0)
 
 

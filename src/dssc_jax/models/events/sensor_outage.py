@@ -35,7 +35,7 @@ def wrap(sensor: Sensor) -> Sensor:
     """
 
     def init(params: Wrapped, measurement: Measurement, key: jax.Array) -> OutageState:
-        """The state from the first true measurement, before any reading is shown."""
+        """The sensor's own first state, and the first true measurement as the reading that is shown."""
         inner = sensor.init(params.inner, measurement, key)
         # the reading shown is a placeholder: the first sample, at t = 0, replaces it in any case
         return OutageState(inner, Measurement(measurement.y, measurement.y_dot))
@@ -43,7 +43,7 @@ def wrap(sensor: Sensor) -> Sensor:
     def step(
         params: Wrapped, state: OutageState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[OutageState, Measurement]:
-        """One sample; during the outage y and y' stay, while the sensor itself goes on."""
+        """One sample: during the outage the shown y and y' stay, while the sensor's own state goes on."""
         inner, reading = sensor.step(params.inner, state.inner, measurement, key, t, dt)
         elapsed = t - params.event.at + ROUNDING * dt
         frozen = (t > 0.0) & (elapsed >= 0.0) & (elapsed < params.event.duration)

@@ -156,7 +156,10 @@ class FmuPlant:
         return y, y_dot, tuple(outputs)
 
     def report(self, params: Params, state: FmuState, drive: PlantInput[Scalar]) -> Info:
-        """Report the additional outputs by their names in the study; () if there are none."""
+        """Report the additional outputs by their names in the study; () if there are none.
+
+        Parameters and input are not used: the state has the outputs of the last step.
+        """
         if not self.outputs:
             return ()
         report = report_type(tuple(signal for signal, _ in self.outputs))
@@ -187,7 +190,11 @@ def input_gain(params: Params) -> Scalar:
 
 
 def no_derivative(params: Params, state: FmuState, drive: PlantInput[Scalar], t: Scalar) -> NoReturn:
-    """Refuse the derivative of the state, which an FMU does not give; raises ConfigError."""
+    """Refuse to give the derivative of the state, which is inside the FMU.
+
+    Raises:
+        ConfigError: Always.
+    """
     raise ConfigError("plant", WITHOUT_DERIVATIVE)
 
 

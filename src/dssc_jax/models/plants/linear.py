@@ -99,7 +99,12 @@ class LinearState(NamedTuple):
 
 
 def initial_state(x0: tuple[Scalar, ...], order: int) -> LinearState:
-    """Return the state at t = 0 of a plant with ``order`` states: the entries x0, filled up with zeros."""
+    """The state at t = 0: the entries ``x0``, filled up with zeros.
+
+    Args:
+        x0: First entries of the state.
+        order: Number of states.
+    """
     return LinearState((*x0, *(0.0,) * (order - len(x0))))
 
 
@@ -126,7 +131,7 @@ def state_space_measure(params: StateSpaceParams, state: LinearState, drive: Pla
 
 
 def state_space_report(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Info:
-    """Report the outputs that the study names, for metrics and plots; () if it names none."""
+    """The values of the outputs that the study names, for metrics and plots; () if it names none."""
     return output_report(params.outputs, params.inputs, state.x, drive, is_matched=params.disturbance is None)
 
 
@@ -173,7 +178,7 @@ def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
 def last_slope(params: RationalParams, state: LinearState) -> Scalar:
     """Derivative of the last state x_n without command and disturbance: -(a_0 x_1 + a_1 x_2 + ...)/a_n.
 
-    The coefficients a_i of the denominator belong to s^i.
+    The coefficient a_i of the denominator belongs to s^i.
     """
     leading, *lower = params.denominator
     return -dot(tuple(reversed(lower)), state.x) / leading
@@ -234,7 +239,15 @@ def prepare_transfer_function(params: RationalParams) -> RationalParams:
 
 
 def require_start(x0: tuple[Scalar, ...], order: int) -> None:
-    """Require an initial state with at most as many numbers as the plant has states; raises ConfigError."""
+    """Require at most as many initial values as the plant has states.
+
+    Args:
+        x0: The initial values.
+        order: Number of states.
+
+    Raises:
+        ConfigError: There are more.
+    """
     if len(x0) > order:
         raise ConfigError("x0", f"must have at most {order} numbers, one for each state, got {len(x0)}")
 

@@ -54,7 +54,7 @@ def steps_at(params: StepsParams, t: Scalar) -> Flight:
 
 
 def whole_mission(params: NoParams, t: Scalar) -> Flight:
-    """The article's mission in all four axes at t [s]."""
+    """The article's mission in all four axes at t [s]; it has no parameters."""
     x, y, z, psi = (sine_at(axis, t) for axis in MISSION.values())
     return x, y, z, psi
 

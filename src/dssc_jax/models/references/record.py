@@ -43,7 +43,11 @@ class RatedPieces(NamedTuple):
 
 
 def record_pieces(params: RecordParams, rule: Interpolation) -> Pieces | RatedPieces:
-    """The record as functions of time by a rule of interpolation, with its recorded rate if it has one.
+    """The record as functions of time, with its recorded rate if it has one.
+
+    Args:
+        params: The record.
+        rule: Rule of interpolation between the recorded values.
 
     Raises:
         ConfigError: Lengths do not fit, times do not rise, or times of a rate are given without a rate.

@@ -14,7 +14,12 @@ SHARPEST_TURN = 0.5  # cosine of the largest turn of the path between two of its
 
 
 def path_speed(path: CubicSpline, u: np.ndarray) -> np.ndarray:
-    """|dr/du|, the length of the path per unit of its parameter u, at each u, any shape."""
+    """|dr/du| at each u: the length of the path per unit of its parameter u.
+
+    Args:
+        path: The path.
+        u: Parameters, any shape.
+    """
     slope = path(u, 1)  # first derivative of x, y, z and psi
     return np.linalg.norm(slope[..., :3], axis=-1)
 
@@ -33,12 +38,15 @@ def path_length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.nda
 
 
 def nonzero_path_speed(path: CubicSpline, u: np.ndarray) -> np.ndarray:
-    """:func:`path_speed`, but the smallest normal number where it is 0, so that one can divide by it."""
+    """The speed |dr/du| of :func:`path_speed`, but the smallest normal number in place of 0.
+
+    The result can be divided by.
+    """
     return np.maximum(path_speed(path, u), np.finfo(float).tiny)
 
 
 def nearest_waypoint(path: CubicSpline, u: float) -> int:
-    """The number of the waypoint nearest to a parameter of the path, from 0."""
+    """The number, from 0, of the waypoint that is nearest to a parameter u of the path."""
     return int(np.abs(path.x - u).argmin())
 
 

@@ -313,7 +313,15 @@ def curve(params: WaypointParams) -> Curve:
 
 
 def at(curve: Curve, t: Scalar) -> tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]:
-    """The desired x, y, z [m] and psi [rad] at t [s], in the precision of t; psi is continuous and may pass +-pi."""
+    """The desired x, y, z [m] and psi [rad] at t [s], in the precision of t; psi is continuous and may pass +-pi.
+
+    A Horner scheme evaluates the quintic of the segment in which t lies. Before 0 and after the last segment the first
+    and the last waypoint hold.
+
+    Args:
+        curve: The table of the motion.
+        t: Time [s].
+    """
     dtype = jnp.result_type(t, float)
     step = jnp.asarray(curve.step, dtype)
     phase = jnp.clip(jnp.asarray(t, dtype) / step, 0, curve.coefficients.shape[0] - 1)

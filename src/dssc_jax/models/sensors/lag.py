@@ -41,7 +41,13 @@ def lag_step(
     step_response = -jnp.expm1(-relative_time)  # 1 - exp(-dt/mu)
 
     def filtered_value(value: Scalar, previous: Scalar, shown: Scalar) -> Scalar:
-        """The reading of a true value, from the true value and the reading at the sample before."""
+        """The reading at this sample.
+
+        Args:
+            value: The true value at this sample.
+            previous: The true value at the sample before.
+            shown: The reading at the sample before.
+        """
         ramp_lag = (value - previous) * step_response / relative_time
         return value - ramp_lag + (shown - previous) * (1.0 - step_response)
 

@@ -74,7 +74,12 @@ def speed_moments(vehicle: Vehicle, speeds: tuple[Scalar, ...]) -> SpeedMoments:
     first = Vec3(lever * dot(x, speeds), lever * dot(y, speeds), 0.0)
 
     def second_moment(a: Sequence[float], b: Sequence[float]) -> Scalar:
-        """The entry of the second moment for two directions of the rotors' places, on an arm of length 1."""
+        """An entry of the second moment.
+
+        Args:
+            a: One coordinate of each rotor's place, for an arm of length 1.
+            b: The same or the other coordinate.
+        """
         return lever * vehicle.arm * dot([i * j for i, j in zip(a, b, strict=True)], speeds)
 
     return SpeedMoments(total, first, (second_moment(x, x), second_moment(x, y), second_moment(y, y)))

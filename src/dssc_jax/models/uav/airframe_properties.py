@@ -150,6 +150,10 @@ def rotors_of(geometry: TomlTable) -> int:
 def hover_thrust(parameters: Mapping[str, float], geometry: TomlTable) -> float:
     """Compute the mean thrust of the rotors in hover [N]; tilted rotors push more than they lift.
 
+    Args:
+        parameters: The file's parameters, with the mass.
+        geometry: Entries of the vehicle that place its rotors.
+
     Raises:
         ConfigError: The rotors cannot command all axes.
     """

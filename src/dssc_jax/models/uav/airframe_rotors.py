@@ -127,7 +127,7 @@ def placed_rotor(parameters: Mapping[str, float], index: int) -> PlacedRotor:
     """Rotor ``index``, from 0, turned from PX4's axes (forward, right, down) to the model's (forward, left, up).
 
     Raises:
-        ConfigError: Its axis is zero.
+        ConfigError: The rotor's axis is zero.
     """
     name = f"CA_ROTOR{index}"
     ax, ay, az = (parameters.get(f"{name}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))

@@ -46,11 +46,11 @@ class Supply(NamedTuple):
 
 
 def checked_battery(battery: Battery, vehicle: Vehicle) -> Battery:
-    """The battery itself, whose power must be known.
+    """The battery itself, if it states the power that the rotors take.
 
     Raises:
-        ConfigError: Not exactly one of ``efficiency`` and ``hover_power`` is given, or the efficiency stands beside
-            nominal coefficients of the rotors.
+        ConfigError: Not exactly one of ``efficiency`` and ``hover_power`` is given, or an efficiency is given and the
+            coefficients of the rotors are nominal, so that their power is not known.
     """
     if (battery.efficiency is None) == (battery.hover_power is None):
         raise ConfigError("battery", "needs either efficiency, or hover_power in watts")

@@ -33,7 +33,12 @@ def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> Roto
 
 
 def scaled_motion(motion: RotorMotion, factors: Sequence[Scalar]) -> RotorMotion:
-    """The motion of rotors whose speeds and accelerations are multiplied by a factor for each rotor."""
+    """The motion of rotors after each speed, and its rate if there is one, is multiplied by a factor.
+
+    Args:
+        motion: The motion before.
+        factors: Factor of each rotor.
+    """
     speeds = tuple(f * w for f, w in zip(factors, motion.speeds, strict=True))
     if not motion.accelerations:
         return RotorMotion(speeds, ())

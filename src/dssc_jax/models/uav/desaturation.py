@@ -161,7 +161,10 @@ def gain_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -
 def moved(direction: Direction, thrusts: Sequence[Scalar], gain: Scalar) -> list[Scalar]:
     """The thrusts after a step along a direction.
 
-    ``gain`` is the length of the step, in units of net thrust [N] or moment [N m].
+    Args:
+        direction: The direction.
+        thrusts: Thrust of each rotor before the step [N].
+        gain: Length of the step, in units of net thrust [N] or moment [N m].
     """
     return [f + gain * entry for f, entry in zip(thrusts, direction.entries, strict=True)]
 

@@ -258,7 +258,12 @@ def has_law(rotor: Rotor) -> bool:
 
 
 def hover_shares(vehicle: Vehicle, allocation: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
-    """Each rotor's share of the weight in hover; () for equal shares of rotors on a circle."""
+    """Each rotor's share of the weight in hover; () for equal shares of rotors on a circle.
+
+    Args:
+        vehicle: The vehicle.
+        allocation: The nominal allocation, shape (n_r, 4); its first column has the shares.
+    """
     shares = tuple(row[0] for row in allocation)  # the column of the net thrust
     are_equal = all(abs(share - 1.0 / vehicle.rotors) < EQUAL_SHARE for share in shares)
     is_circle = not vehicle.rotor

@@ -45,7 +45,12 @@ def body_derivative(
 
 
 def turning_moment(inertia: Vec3, rate: Vec3) -> Vec3:
-    """Omega x J Omega of a diagonal J [N m]: the moment that keeps the body rate Omega [rad/s] constant."""
+    """Omega x J Omega for a diagonal J [N m]: the moment that keeps the body rate Omega constant.
+
+    Args:
+        inertia: Diagonal of J [kg m^2].
+        rate: Body rate Omega [rad/s].
+    """
     differences = Vec3(inertia.z - inertia.y, inertia.x - inertia.z, inertia.y - inertia.x)
     return Vec3(rate.y * rate.z, rate.z * rate.x, rate.x * rate.y).scale(differences)
 

@@ -70,7 +70,12 @@ def wrench(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> Wrench:
 
 
 def rotor_wrench(rotor: Rotor, torque_coefficient: Scalar) -> tuple[Scalar, ...]:
-    """Force [1] and moment [m] of a rotor per thrust, in body axes: F_x, F_y, F_z, M_x, M_y, M_z."""
+    """Force and moment of a rotor per thrust, in body axes: F_x, F_y, F_z [1], M_x, M_y, M_z [m].
+
+    Args:
+        rotor: Place, axis and turning direction of the rotor.
+        torque_coefficient: Its torque over thrust c_tau [m].
+    """
     axis = rotor.unit_axis
     lever_moment = Vec3(*rotor.position).cross(axis)
     drag_torque = axis * (rotor.direction * torque_coefficient)
@@ -80,7 +85,11 @@ def rotor_wrench(rotor: Rotor, torque_coefficient: Scalar) -> tuple[Scalar, ...]
 def circle_wrench(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> Wrench:
     """Net thrust f = sum f_i [N] and moment [N m] of rotors on a circle.
 
-    The moment is M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i, with the places p_bi of the rotors.
+    With the places p_bi of the rotors the moment is M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i.
+
+    Args:
+        vehicle: The rotors.
+        thrusts: f_i of each rotor [N].
     """
     x, y = vehicle.directions()
     ones = (1.0,) * vehicle.rotors

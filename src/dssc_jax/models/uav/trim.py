@@ -43,7 +43,7 @@ def trim(params: UavParams, wind: Vec3) -> Trim:
     """
 
     def substitution(_: Scalar, guess: Guess) -> Guess:
-        """One round of the loop, whose index does not matter."""
+        """One round of the substitution; the index of the round does not matter."""
         return as_arrays(improved_guess(params, wind, guess))
 
     weight = params.inner_model.mass * GRAVITY

@@ -85,7 +85,12 @@ def moved_towards(wind: Vec3, target: Vec3, distance: Scalar) -> Vec3:
 
 
 def travelled_share(length: Scalar, distance: Scalar) -> Scalar:
-    """Share of a way's length that a distance covers, at most 1."""
+    """The share of a straight way that a move covers, at most 1.
+
+    Args:
+        length: Length of the way [m/s].
+        distance: Length of the move [m/s].
+    """
     arrives = length <= distance
     return jnp.where(arrives, 1.0, distance / jnp.where(arrives, 1.0, length))
 
@@ -113,7 +118,13 @@ def bounded_step(
 
 
 def bounded_value(params: BoundedWindParams, state: BoundedWindState, t: Scalar) -> Vec3:
-    """The wind at t [m/s]: the extreme itself without a rate, else a point on the straight way to it."""
+    """The wind at t [m/s]: the target itself without a rate, else a point on the straight way to the target.
+
+    Args:
+        params: The bounds.
+        state: The state at the last sample.
+        t: Time [s].
+    """
     if params.rate is None:
         return state.target
     return moved_towards(state.wind, state.target, params.rate * (t - state.since))

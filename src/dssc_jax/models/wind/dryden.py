@@ -200,7 +200,7 @@ def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Sca
 
 
 def dryden_value(params: DrydenParams, state: DrydenState, t: Scalar) -> Vec3:
-    """The wind, mean and turbulence, in inertial axes [m/s]; it is constant over the sample."""
+    """The wind in inertial axes, mean and turbulence, which is constant over the sample [m/s]."""
     law = dryden_law(params)
     longitudinal = law.mean + law.sigma_uv * state.u
     lateral = law.sigma_uv * state.v.output

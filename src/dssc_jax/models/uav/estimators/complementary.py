@@ -57,7 +57,10 @@ class ComplementaryFilter(NamedTuple):
     position_bandwidth: Annotated[Scalar, Quantity("rad/s", "bandwidth w of position and velocity", at_least=0.0)] = 2.0
 
     def start(self, motion: Motion, random: Random) -> ComplementaryMemory:
-        """The filter at t = 0: it knows the true motion, but not the biases."""
+        """The filter at t = 0: it knows the true motion, but not the biases.
+
+        The first estimated rate is therefore the true one plus the bias of the gyroscopes.
+        """
         sensors = start_sensors(self.sensors, motion, random)
         estimate = motion._replace(rate=motion.rate + sensors.gyro_bias)
         return ComplementaryMemory(estimate, Vec3(0.0, 0.0, 0.0), sensors)

@@ -262,7 +262,12 @@ def entry(covariance: Covariance, i: int, j: int) -> Scalar:
 
 
 def transformed(covariance: Covariance, rows: tuple[Sparse, ...]) -> Covariance:
-    """The covariance F P F' after a transition F, for a covariance P and the sparse rows of F - I."""
+    """The covariance F P F' after a transition F.
+
+    Args:
+        covariance: The covariance P before.
+        rows: The rows of F - I, most of whose entries are 0.
+    """
     left = []  # F P
     for i in range(STATES):
         line = []

@@ -318,6 +318,11 @@ def strapdown_step(motion: Motion, rotation: Mat3, velocity: Vec3, position: Vec
 
 
 def is_reading_time(k: Scalar, period: float) -> Scalar:
-    """Whether a sensor with a period [samples] takes a reading at sample k."""
+    """Whether a sensor with a period [samples] takes a reading at sample k.
+
+    Args:
+        k: Index of the sample.
+        period: Time between two readings [samples].
+    """
     count = round(period)
     return k >= 0 if count == 1 else k % count == 0  # with a period of 1 always, without a division

@@ -222,6 +222,10 @@ def euler_rates(at: Trig, rate: Vec3) -> Euler:
     """The rates of the Euler angles, W^-1 Omega [rad/s], for a body rate Omega [rad/s].
 
     W is the matrix with Omega = W euler'.
+
+    Args:
+        at: Sines and cosines of the angles.
+        rate: Body rate Omega [rad/s].
     """
     turn = at.sphi * rate.y + at.cphi * rate.z
     psi = turn * at.secant

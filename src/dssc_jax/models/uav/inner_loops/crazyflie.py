@@ -371,7 +371,12 @@ def over_gain(value: Scalar, gain: Scalar) -> Scalar:
 
 
 def heading_velocity(velocity: Vec3, rotation: Mat3) -> Vec3:
-    """A velocity along the heading, to its left, and up [m/s]."""
+    """A velocity along the heading, to its left, and up [m/s].
+
+    Args:
+        velocity: The velocity, inertial axes [m/s].
+        rotation: R, body to inertial, which gives the heading.
+    """
     flat = 1.0 / jnp.sqrt(jnp.maximum(rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x, 1e-12))
     cosine = rotation.a.x * flat
     sine = rotation.b.x * flat

@@ -91,7 +91,10 @@ def attitude_from_angles(angles: Angles) -> Quaternion:
 
 
 def body_angles(upward: Vec3, psi: Scalar) -> Angles:
-    """The angles at which body z points along ``upward``, a vector of length 1, at the yaw ``psi`` [rad]."""
+    """The angles at which body z points along ``upward``, a vector of length 1, at the yaw ``psi`` [rad].
+
+    The roll is in [-pi/2, pi/2].
+    """
     cosine = jnp.cos(psi)
     sine = jnp.sin(psi)
     forward = upward.x * cosine + upward.y * sine
@@ -144,6 +147,10 @@ def require_integral(gains: StartsSettled, gain: str) -> None:
 def require_triples(gains: object, names: Iterable[str]) -> None:
     """Require three values, of roll, pitch and yaw, in each of some fields of an inner loop's gains.
 
+    Args:
+        gains: The gains.
+        names: Names of the fields.
+
     Raises:
         ConfigError: A field has another number of values.
     """
@@ -172,7 +179,12 @@ def net_wrench(craft: Craft, thrusts: tuple[Scalar, ...]) -> Wrench:
 
 
 def limited(vector: Vec3, limit: Vec3) -> Vec3:
-    """The vector with each component within [-limit, limit]."""
+    """The vector with each component within [-limit, limit].
+
+    Args:
+        vector: The vector.
+        limit: Largest magnitude of each component.
+    """
     return Vec3(*(clip(value, -bound, bound) for value, bound in zip(vector, limit, strict=True)))
 
 
