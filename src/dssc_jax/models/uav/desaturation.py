@@ -170,16 +170,16 @@ def moved(direction: Direction, thrusts: Sequence[Scalar], gain: Scalar) -> list
 
 
 def desaturated_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> list[Scalar]:
-    """The thrusts after a step along a direction, and half of a second step for what the first step left.
+    """The thrusts after a step along a direction, and half a step towards what the first one left.
 
-    Arguments are as for :func:`gain_along`.
+    The second step is half of the one that would undo the remaining excess. Arguments are as for :func:`gain_along`.
     """
     thrusts = moved(direction, thrusts, gain_along(direction, thrusts, limit))
     return moved(direction, thrusts, 0.5 * gain_along(direction, thrusts, limit))
 
 
 def reduced_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> list[Scalar]:
-    """As :func:`desaturated_along`, but without any step where the first one would raise the net thrust.
+    """As :func:`desaturated_along`, but nothing where the first step would raise the net thrust.
 
     The function is meant for the direction of net thrust alone, in which a positive step raises the net thrust.
     """
