@@ -113,16 +113,16 @@ class SampledController:
     Args:
         channel: Name of the channel; empty for a plant with one channel.
         index: Position of the channel.
-        prefix: Prefix of its functions and types in C.
+        prefix: Prefix of the controller's functions and types in C.
         parameters: Numbers that may be changed in flight.
-        states: Names of its states in C.
-        infos: Names of its telemetry in C.
+        states: Names in C of the states of differentiator and controller.
+        infos: Names in C of the telemetry.
         start: ``(parameters, signals) -> states`` before the first sample.
         step: ``(parameters, states, signals) -> (states, command, telemetry)``.
-        transfer: ``(parameters, command, signals) -> (states, command)``: states whose first step gives the command,
-            and the command that this step gives; None: the controller's state cannot carry a command.
+        transfer: ``(parameters, command, signals) -> (states, command)``: states from which the first step gives the
+            wanted command, and the command that this step gives. None: the controller's state cannot carry a command.
         precision: Bits of a number.
-        measured_signals: The members of its measurement.
+        measured_signals: The members of the measurement.
     """
 
     channel: str
@@ -317,7 +317,10 @@ def channel_parameters(study: Study, index: int) -> tuple[Parameter, ...]:
         return slot in FLOWN_SLOTS and int(position) == index
 
     def name_in_c(key: str) -> str:
-        """The name in C of a number: its path without slot and channel; only ``differentiator`` stays in front."""
+        """The name in C of a number: its path without slot and channel; only ``differentiator`` stays in front.
+
+        The second part of the path may be the channel's name or position, which is left out, too.
+        """
         slot, *fields = key.split(".")
         if fields[0] in {str(index), channel}:
             fields = fields[1:]

@@ -45,7 +45,10 @@ def xml_text(text: str) -> str:
 
 
 def base_exponents(unit: str) -> dict[str, int] | None:
-    """A unit by its exponents of FMI's base units; None if it is no product of whole powers of SI units."""
+    """A unit by its exponents of FMI's base units; None if it is no product of whole powers of SI units.
+
+    Exponents that are 0 are left out.
+    """
     try:
         powers = parse_unit(unit)
     except ValueError:

@@ -150,7 +150,10 @@ def fmu_outputs(study: Study, controller: SampledController) -> list[FmuVariable
 
 
 def real_variables(code: FlightCode) -> list[FmuVariable]:
-    """All real variables of the FMU; the position of a variable is its value reference."""
+    """All real variables of the FMU; the position of a variable is its value reference.
+
+    Parameters come first, then the inputs of all channels, then their outputs.
+    """
     variables = fmu_parameters(code)
     for controller in code.controllers:
         variables += fmu_inputs(code.study, controller)
@@ -212,7 +215,11 @@ def channel_label(controller: SampledController) -> str:
 
 
 def plain_message(text: str) -> str:
-    """A message with ? in place of % and #, which simulators would replace by other texts."""
+    """A message with ? in place of % and #, which simulators would replace by other texts.
+
+    Args:
+        text: The message, which may contain names from the study.
+    """
     return text.replace("%", "?").replace("#", "?")
 
 

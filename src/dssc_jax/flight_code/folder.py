@@ -66,7 +66,11 @@ class FlightFolder:
         self.software = None if software is None else software_files(software)
 
     def texts(self) -> dict[str, str]:
-        """Contents of the text files by name."""
+        """Contents of the text files by name.
+
+        The folder has header and source of the controllers, the bench with its Makefile, and a README. Software on
+        board and the monitor add files of their own.
+        """
         name = self.code.name
         study = self.code.study.name
         further_texts: dict[str, str] = {}

@@ -112,7 +112,11 @@ def is_angle(study: Study, controller: SampledController) -> bool:
 
 
 def transfer_declaration(controller: SampledController) -> str:
-    """The declaration in C of the function for a bumpless start, or a comment why there is none."""
+    """The declaration in C of the function for a bumpless start, or a comment why there is none.
+
+    Args:
+        controller: The controller of the channel.
+    """
     if controller.transfer is None:
         return f"/* No {controller.prefix}_transfer: the controller has no state that could carry a command. */"
     return fill(

@@ -89,7 +89,10 @@ def measured_rows(controller: SampledController) -> list[str]:
 
 
 def read_parameters(controller: SampledController) -> list[Parameter]:
-    """The parameters that start or step reads; others, such as those of metrics, are no parameters of a library."""
+    """The parameters that start or step reads; others, such as those of metrics, are no parameters of a library.
+
+    The order of the parameters stays.
+    """
     read_positions = read_inputs(controller.start.program) | read_inputs(controller.step.program)
     return [parameter for position, parameter in enumerate(controller.parameters) if position in read_positions]
 

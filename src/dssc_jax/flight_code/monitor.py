@@ -47,8 +47,8 @@ class MonitorSample(NamedTuple):
 
     Args:
         channels: Signals of each channel.
-        tilt: Tilt [rad]; () if the certificate does not bound it.
-        rotor: Commanded thrust of each rotor [N]; () if the certificate does not bound them.
+        tilt: Angle between body z and the vertical [rad]; () if the certificate does not bound it.
+        rotor: Commanded thrust of each rotor [N]; () if the certificate does not bound the thrusts.
     """
 
     channels: tuple[ChannelSample, ...]
@@ -107,7 +107,13 @@ class Deviation(NamedTuple):
 
 
 def initial_monitor(premises: Premises) -> MonitorState:
-    """The state before the first sample."""
+    """The state before the first sample.
+
+    Nothing is latched, no flag has a first sample, and no sigma is known.
+
+    Args:
+        premises: The bounds, which determine the flags and the states of the channels.
+    """
     memories = []
     for channel in premises.channels:
         disturbance_state = () if channel.disturbance is None else initial_seen(channel.disturbance)

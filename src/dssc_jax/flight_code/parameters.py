@@ -20,12 +20,12 @@ class Parameter(NamedTuple):
     """A number of generated code that may be changed in flight.
 
     Args:
-        key: Key in ``Study.params``: its name in the study, or its path if the study computes it.
+        key: Key in ``Study.params``: the number's name in the study, or its path if the study computes it.
         name: Name in C.
-        quantity: Unit, meaning and range; None: its field declares none.
+        quantity: Unit, meaning and range; None: the number's field declares none.
         value: The study's value, or the value at the medians of the laws.
-        uncertain: Whether it has a law in the study, or follows from a number that has one.
-        less_than: Name in C of the parameter below which it must lie; None: of none.
+        uncertain: Whether the number has a law in the study, or follows from a number that has one.
+        less_than: Name in C of a parameter that must be larger than this one; None: there is none.
     """
 
     key: str

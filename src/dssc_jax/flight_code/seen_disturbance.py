@@ -70,7 +70,10 @@ class SeenFlags(NamedTuple):
 
 
 def roundings() -> float:
-    """Allowance for the roundings of a formula, relative to the numbers in it."""
+    """Allowance for the roundings of a formula, relative to the numbers in it.
+
+    It is eight rounding errors of the present precision.
+    """
     return 8.0 * float(jnp.finfo(jnp.result_type(float)).eps)
 
 
@@ -237,8 +240,9 @@ def between(held: EnclosingInterval, *parts: tuple[EnclosingInterval, Interval])
 class LagRatios(NamedTuple):
     """Intervals of the factors that describe lags over a sample with constant input v, for h = T_s/mu.
 
-    A lag x' = (v - x)/mu ends at v + decay (x - v), and its mean is v + mean (x - v). A second lag z behind it ends at
-    v + decay (z - v) + passed (x - v), and its mean is v + mean (z - v) + passed_mean (x - v).
+    A lag x' = (v - x)/mu ends the sample at v + decay (x - v), and its mean over the sample is v + mean (x - v). Behind
+    it, a second lag z' = (x - z)/mu ends at v + decay (z - v) + passed (x - v), and its mean is v + mean (z - v) +
+    passed_mean (x - v). On the right, x and z are the outputs at the start of the sample.
     """
 
     decay: Interval  # exp(-h)

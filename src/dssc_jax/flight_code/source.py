@@ -77,7 +77,10 @@ class FunctionText(CText):
 
 
 def source_text(code: FlightCode) -> str:
-    """The source file with the functions of all channels."""
+    """The source file with the functions of all channels.
+
+    Definitions that several functions need, such as tables and helpers, are written once, before all functions.
+    """
     functions: list[str] = []
     helpers: dict[str, None] = {}  # a dictionary keeps the order, and each definition once
     tables: dict[str, None] = {}

@@ -22,10 +22,10 @@ class TracedMonitor:
     """A traced monitor.
 
     Args:
-        premises: The bounds that it watches, rounded outwards to the dtype of its numbers.
-        prefix: Prefix of its functions and types in C.
-        inputs: Names of the sample's numbers in C.
-        memories: Names of the state's floating-point numbers in C, in the order of its leaves.
+        premises: The bounds that the monitor watches, rounded outwards to the dtype of its numbers.
+        prefix: Prefix of the monitor's functions and types in C.
+        inputs: Names in C of the sample's numbers.
+        memories: Names in C of the state's floating-point numbers, in the order of the state's leaves.
         step: ``(state, sample) -> (next state, flags of the sample)``.
         precision: Bits of a number.
     """

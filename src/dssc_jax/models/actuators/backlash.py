@@ -21,7 +21,7 @@ from dssc_jax.core.smoothness import SMOOTH, not_smooth
 
 
 class BacklashParams(NamedTuple):
-    """The gap of a backlash; a half-width of 0 makes it an ideal actuator."""
+    """The gap of a backlash; with a half-width of 0 the actuator is ideal."""
 
     half_width: Annotated[Scalar, Quantity("u", "half of the gap", at_least=0.0)]
 

@@ -15,7 +15,7 @@ from dssc_jax.core.smoothness import piecewise
 
 
 class RateLimitParams(NamedTuple):
-    """The largest rate of the plant input; an infinite rate makes it an ideal actuator."""
+    """The largest rate of the plant input; with an infinite rate the actuator is ideal."""
 
     rate: Annotated[Scalar, Quantity("u/s", "largest slope of the plant input", above=0.0)]
 

@@ -23,9 +23,9 @@ class RationalActuatorParams(NamedTuple):
     """The coefficients of the transfer function G(s) from the command to the plant's input.
 
     Args:
-        numerator: Coefficients, highest power first.
-        denominator: Coefficients, highest power first.
-        unit: Unit of time of the states [s], which :func:`prepare` computes.
+        numerator: Coefficients, highest power of s first.
+        denominator: Coefficients, highest power of s first.
+        unit: Unit of time in which the states are kept [s]; :func:`prepare` computes it.
     """
 
     numerator: Annotated[tuple[Scalar, ...], NUMERATOR]

@@ -16,7 +16,10 @@ from dssc_jax.core.smoothness import piecewise
 
 
 class SaturationParams(NamedTuple):
-    """Limits of the plant input: [low, limit], or [-limit, limit] without ``low``; infinite for an ideal actuator."""
+    """Limits of the plant input: [low, limit], or [-limit, limit] without ``low``.
+
+    With infinite limits the actuator is ideal.
+    """
 
     limit: Annotated[Scalar, Quantity("u", "largest plant input", above=0.0)]
     low: Annotated[Scalar | None, Quantity("u", "smallest plant input; absent: -limit", less_than="limit")] = None

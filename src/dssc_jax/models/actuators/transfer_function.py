@@ -108,7 +108,7 @@ def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Rea
 
 
 def shown(coefficients: Sequence[float]) -> list[float]:
-    """Coefficients with six digits, for messages."""
+    """The coefficients rounded to six digits, for messages."""
     return [float(f"{value:g}") for value in coefficients]
 
 

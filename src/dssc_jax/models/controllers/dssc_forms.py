@@ -107,7 +107,7 @@ class Sampled(NamedTuple):
         u_av: Averaged control [u].
         predictor: State of the predictor, as in :class:`DsscState`.
         sigma_hat: Predicted sigma [y/s].
-        u_eq: Equivalent control [u], the u_0 with which sigma_hat becomes sigma.
+        u_eq: Equivalent control [u]: the u_0 with which the new sigma_hat equals sigma.
     """
 
     u_0: Scalar

@@ -147,7 +147,10 @@ class ApproximateSta1(NamedTuple):
 
 
 class ApproximateSta2(NamedTuple):
-    """The functions of the second approximation of the STA: the standard STA's, with r + delta in place of r."""
+    """The functions of the second approximation of the STA.
+
+    They are those of the standard STA with r + delta in place of r, so that nothing vanishes at sigma = 0.
+    """
 
     kappa1: Annotated[Scalar, KAPPA_1]
     kappa2: Annotated[Scalar, KAPPA_2]

@@ -97,10 +97,11 @@ class LqgModel(NamedTuple):
 class LqgGains(NamedTuple):
     """Weights and standard deviations of the design, and the controller that :func:`fit` computes from them.
 
-    The fields after ``l0`` are computed: the sampled plant's A, B, C, D (``transition``, ``input``, ``signals``,
-    ``feedthrough``), the gains K, L, k_i, N (``feedback``, ``correction``, ``integral_gain``, ``feedforward``), and
-    ``taken``, the number of measured signals, 0 if y alone is measured. ``l0`` defines sigma of the metrics; the
-    controller does not use it.
+    ``l0`` defines sigma of the metrics; the controller does not use it. The fields after ``l0`` are computed:
+
+    * ``transition``, ``input``, ``signals`` and ``feedthrough`` are A, B, C and D of the sampled plant;
+    * ``feedback``, ``correction``, ``integral_gain`` and ``feedforward`` are the gains K, L, k_i and N;
+    * ``taken`` is the number of measured signals, or 0 if y alone is measured.
     """
 
     command_weight: Annotated[Scalar, COMMAND_WEIGHT]

@@ -40,8 +40,8 @@ DERIVATIVE_GAIN = "derivative gain, on the slope of c y_m - y from sample to sam
 class PidGains(NamedTuple):
     """Gains of the PID controller.
 
-    Without ``tracking``, T_t = k_p/k_i, the integral time. ``l0`` defines sigma of the metrics; the controller does not
-    use it.
+    Without ``tracking``, the time constant T_t of the anti-windup is k_p/k_i, the integral time. ``l0`` defines sigma
+    of the metrics; the controller does not use it.
     """
 
     k_p: Annotated[Scalar, Quantity("u/y", "proportional gain", at_least=0.0)]

@@ -30,7 +30,7 @@ class SmcGains(NamedTuple):
 class SmcInfo(NamedTuple):
     """The margin K - |u_eq| [u] of the sliding condition, which holds if the margin is not negative.
 
-    The equivalent control u_eq brings sigma to 0 within one sample.
+    The equivalent control u_eq is the u that brings sigma to 0 within one sample, by the nominal input gain k_n.
     """
 
     sliding_margin: Annotated[Scalar, Quantity("u", "K - |u_eq|")]

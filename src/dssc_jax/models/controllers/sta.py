@@ -150,7 +150,7 @@ def sta_balance(gains: StaGains) -> HarmonicBalance:
     """The STA's side of the harmonic balance N(A, w) = q at the amplitude A of sigma and the frequency w [rad/s].
 
     Its describing function is N = c kappa1 A^(-1/2) + 2 kappa2/(pi A)/(i w), in the normalisation of Table 2, with
-    c = ``ROOT_FACTOR``. The real parts give A, and the imaginary parts the residual.
+    c = ``ROOT_FACTOR``. The real part of the balance gives the amplitude A, and the imaginary part the residual.
     """
     kappa1 = float(gains.kappa1)
     kappa2 = float(gains.kappa2)
@@ -161,7 +161,11 @@ def sta_balance(gains: StaGains) -> HarmonicBalance:
 
 
 def sta_of_dssc(gains: DsscGains) -> dict[str, float]:
-    """The table of the STA that DSSC's state-dependent functions approximate (Table 2, row 2)."""
+    """The table of the STA that DSSC's state-dependent functions approximate (Table 2, row 2).
+
+    Args:
+        gains: Gains of DSSC.
+    """
     twisting = super_twisting(gains.functions)
     return {"kappa1": float(twisting.kappa1), "kappa2": float(twisting.kappa2), "k_n": nominal_input_gain(gains)}
 

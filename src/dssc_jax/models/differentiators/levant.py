@@ -26,8 +26,8 @@ LAMBDA_0 = Quantity("1", "lambda_0 of the robust exact differentiator", above=1.
 class LevantParams(NamedTuple):
     """The bound L = ``lipschitz`` of |y''|, and the gains of the robust exact differentiator of first order.
 
-    It is z0' = -lambda_1 (L |z0 - y|)^(1/2) sgn(z0 - y) + z1, z1' = -lambda_0 L sgn(z0 - y), where z0 estimates y, and
-    z1 estimates y'. The default gains are Levant's (1998).
+    In continuous time the differentiator is z0' = -lambda_1 (L |z0 - y|)^(1/2) sgn(z0 - y) + z1 and z1' = -lambda_0 L
+    sgn(z0 - y), where z0 estimates y, and z1 estimates y'. The default gains are Levant's (1998).
     """
 
     lipschitz: Annotated[Scalar, LIPSCHITZ]

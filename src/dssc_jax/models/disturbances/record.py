@@ -28,7 +28,7 @@ from dssc_jax.core.smoothness import SMOOTH
 
 
 class RecordedDisturbanceParams(NamedTuple):
-    """A recorded disturbance; a study file has ``file`` and ``column`` instead."""
+    """A recorded disturbance; a study file gives ``file`` and ``column`` in place of these fields."""
 
     time: Annotated[Values, TIMES]
     value: Annotated[Values, Quantity("u", "values at these times", law=False, data=True)]

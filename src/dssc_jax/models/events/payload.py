@@ -13,8 +13,8 @@ from dssc_jax.core.vectors import Vec3
 class PayloadParams(NamedTuple):
     """A point mass that the vehicle picks up at a place or, if the mass is negative, drops from there.
 
-    The mass of the vehicle includes a mass that it will drop. Velocity and body rate do not jump, since a mass that is
-    picked up is assumed to move with the vehicle already.
+    The vehicle's own mass must include a mass that is dropped later. Velocity and body rate do not jump, since a mass
+    that is picked up is assumed to move with the vehicle already.
     """
 
     at: Annotated[Scalar, AT]

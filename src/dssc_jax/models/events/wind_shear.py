@@ -11,7 +11,7 @@ from dssc_jax.core.vectors import Vec3
 
 
 class ShearParams(NamedTuple):
-    """A wind that is added to the study's: ``gradient`` times the vehicle's height above ``height``."""
+    """A wind that is added to the study's wind: ``gradient`` times the height of the vehicle above ``height``."""
 
     at: Annotated[Scalar, AT]
     gradient: Annotated[tuple[Scalar, ...], Quantity("1/s", "change of the wind x, y, z with height")]

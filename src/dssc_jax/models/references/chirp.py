@@ -27,7 +27,10 @@ class Spacing(StrEnum):
 
 
 class ChirpParams(NamedTuple):
-    """y_m = offset + amplitude sin(phase) from ``at`` on; after ``duration`` the frequency stays at its last value."""
+    """A chirp y_m = offset + amplitude sin(phase), which begins at the time ``at``.
+
+    The frequency moves from ``start`` to ``end`` within ``duration``, and then stays at ``end``.
+    """
 
     amplitude: Annotated[Scalar, Quantity("y", "amplitude")]
     start: Annotated[Scalar, Quantity("Hz", "first frequency", above=0.0)]

@@ -20,9 +20,9 @@ from dssc_jax.core.signals import ReferencePoint, Scalar
 
 
 class MultisineParams(NamedTuple):
-    """y_m = offset + the sum of a_k sin(2 pi f_k t + phi_k).
+    """The sum of sines y_m = offset + the sum of a_k sin(2 pi f_k t + phi_k).
 
-    Absent phases are Schroeder's, with which equal amplitudes have a low peak.
+    Phases that are None become Schroeder's, with which sines of equal amplitudes have a low peak.
     """
 
     amplitudes: Annotated[tuple[Scalar, ...], Quantity("y", "amplitude of each sine")]

@@ -287,8 +287,8 @@ def slowed_step(step: float, coefficients: np.ndarray, params: WaypointParams) -
 def curve(params: WaypointParams) -> Curve:
     """Compute the table of the motion along the path on the host, before tracing; :func:`at` evaluates it.
 
-    The path gets a motion from rest to rest; position and yaw at equal time steps make the table. Finally the motion is
-    slowed down where the table exceeds the bounds between its nodes.
+    The path gets a motion from rest to rest. Position and yaw at equal time steps make the table. Where the motion of
+    the table exceeds the bounds between its nodes, all of it is slowed down at the end.
 
     Raises:
         ConfigError: Waypoints are too few, repeated or scattered, numbers are out of range, or the speed is impossible.

@@ -179,7 +179,7 @@ def noisy_step(
 
 
 def largest_value(number: Scalar | None) -> float:
-    """The largest value of a parameter's law; 0 if the parameter is absent, None."""
+    """The largest value of a parameter's law; 0 if the parameter is None."""
     return 0.0 if number is None else extent(number)[1]
 
 

@@ -22,7 +22,10 @@ AHEAD = 0.01  # share of a step by which each value begins early, because t = k 
 
 
 class RecordedNoiseParams(NamedTuple):
-    """The recorded noise of a sensor; a study file has ``file`` and the ``columns`` of y and y' instead."""
+    """The recorded noise of a sensor.
+
+    A study file gives ``file`` and the ``columns`` of y and y' in place of these fields.
+    """
 
     time: Annotated[Values, TIMES]
     position: Annotated[Values, Quantity("y", "noise on y at these times", law=False, data=True)]
@@ -30,9 +33,9 @@ class RecordedNoiseParams(NamedTuple):
 
 
 class RecordedNoise(NamedTuple):
-    """Noise on y (``position``) and y' (``velocity``) as functions of time, and the record's length [s].
+    """Noise on y (``position``) and y' (``velocity``) as functions of time, and the record's ``length`` [s].
 
-    The length includes a step after the last value.
+    The length includes the step during which the last value holds.
     """
 
     position: Pieces

@@ -108,9 +108,9 @@ class Airframe(NamedTuple):
 
     Args:
         vehicle: The table ``[plant.vehicle]``.
-        notes: What the file does not give, or gives in another form than the model needs.
+        notes: Sentences on what the file does not give, or gives in another form than the model needs.
         plant: The other entries of ``[plant]``: desaturation and gains of the inner loops.
-        warnings: Numbers outside of the usual range of multirotors, and names of parameters that are misspelt.
+        warnings: Sentences on numbers outside of the usual range of multirotors, and on misspelt names of parameters.
     """
 
     vehicle: TomlTable

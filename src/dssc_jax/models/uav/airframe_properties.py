@@ -143,7 +143,7 @@ def contradicted_hover(parameters: Mapping[str, float], geometry: TomlTable) -> 
 
 
 def rotors_of(geometry: TomlTable) -> int:
-    """Count the rotors that entries of the vehicle place: in a list, or on a circle."""
+    """The number of rotors that entries of the vehicle place, in a list or on a circle."""
     return len(geometry.get("rotor") or geometry["spins"])
 
 

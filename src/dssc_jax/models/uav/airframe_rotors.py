@@ -57,9 +57,9 @@ class PlacedRotor(NamedTuple):
     """A rotor in the model's axes.
 
     Args:
-        place: Position relative to the centre of mass [m], or as ratios of a generic airframe.
+        place: Position relative to the centre of mass [m]; ratios in files of generic airframes.
         axis: Direction of the thrust.
-        moment: CA_ROTORi_KM, the torque over the thrust with the sign of the spin [m].
+        moment: CA_ROTORi_KM, the torque over the thrust with PX4's sign of the spin [m].
     """
 
     place: tuple[float, float, float]
@@ -231,7 +231,10 @@ def default_text(parameters: Mapping[str, float]) -> str:
 
 
 def are_ratios(rotors: list[PlacedRotor]) -> bool:
-    """Whether the rotors' positions are ratios of a generic airframe, and not metres."""
+    """Whether the rotors' positions are ratios of a generic airframe, and not metres.
+
+    They are if all horizontal coordinates occur in ``RATIOS``, and the largest one is about 1.
+    """
     coordinates: list[float] = []
     for rotor in rotors:
         coordinates += rotor.place[:2]

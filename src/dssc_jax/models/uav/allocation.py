@@ -76,9 +76,9 @@ def without_side_force(inverse: np.ndarray, vehicle: Vehicle) -> np.ndarray:
 
 
 def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
-    """The nominal allocation: for each rotor the row from net thrust and moments (f, M_x, M_y, M_z) to its thrust f_i.
+    """The nominal allocation, from net thrust and moments (f, M_x, M_y, M_z) to the rotors' thrusts, shape (n_r, 4).
 
-    Entries that are 0 up to rounding are 0.
+    Each row belongs to a rotor. Entries that are 0 up to rounding are 0.
 
     Raises:
         ConfigError: The rotors cannot command thrust, roll, pitch and yaw independently.

@@ -171,7 +171,7 @@ class UavParams(NamedTuple):
 
     @property
     def craft(self) -> Craft:
-        """The vehicle as a sampled inner loop knows it, complete after :func:`prepare`."""
+        """The vehicle as the inner loop knows it; to be read after :func:`prepare`."""
         model = self.inner_model
         return Craft(model.mass, model.inertia, self.allocation, self.moments, self.rotor_limit)
 

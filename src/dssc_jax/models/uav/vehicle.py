@@ -36,8 +36,8 @@ class RotorCoefficients(StrEnum):
 class Rotor(NamedTuple):
     """A rotor at any place and in any direction.
 
-    The thrust is f a along the axis a, and the drag torque s c_tau f a. ``direction`` is s: 1 for a rotor that turns
-    clockwise when one looks against its thrust. A coefficient that is None is the vehicle's.
+    A thrust f acts along the axis a, and the drag torque is s c_tau f a. The sign s is ``direction``: 1 for a rotor
+    that turns clockwise when one looks against its thrust. A coefficient that is None is the vehicle's.
     """
 
     position: Annotated[tuple[Scalar, ...], Quantity("m", "place from the centre of mass, body axes")]

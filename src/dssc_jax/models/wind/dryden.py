@@ -91,10 +91,11 @@ class DrydenState(NamedTuple):
 
 
 def dryden_law(params: DrydenParams) -> DrydenLaw:
-    """The low-altitude model of MIL-F-8785C at the height of the parameters; its formulas are in feet.
+    """The low-altitude model of MIL-F-8785C at the height h of the parameters; its formulas are in feet.
 
-    Mean W20 ln(h/z_0)/ln(20 ft/z_0) with z_0 = 0.15 ft; L_w = h, L_u = L_v = h/(0.177 + 0.000823 h)^1.2,
-    sigma_w = 0.1 W20, sigma_u = sigma_v = sigma_w/(0.177 + 0.000823 h)^0.4, times ``turbulence``.
+    The mean wind is W20 ln(h/z_0)/ln(20 ft/z_0) with z_0 = 0.15 ft. The scale lengths are L_w = h and L_u = L_v =
+    h/(0.177 + 0.000823 h)^1.2. The intensities are sigma_w = 0.1 W20 and sigma_u = sigma_v = sigma_w/(0.177 + 0.000823
+    h)^0.4, times ``turbulence``.
 
     Returns:
         Intensities and mean in [m/s], lengths in [m].

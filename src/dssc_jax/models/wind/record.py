@@ -27,7 +27,7 @@ from dssc_jax.models.wind.prescribed import held_wind, mixture_bounds
 
 
 class RecordedWindParams(NamedTuple):
-    """A recorded wind; a study file has ``file`` and the ``columns`` of x, y and z instead."""
+    """A recorded wind; a study file gives ``file`` and the ``columns`` of x, y and z in place of these fields."""
 
     time: Annotated[Values, TIMES]
     x: Annotated[Values, Quantity("m/s", "wind velocity along x", law=False, data=True)]

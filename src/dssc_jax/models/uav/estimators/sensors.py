@@ -108,7 +108,7 @@ class SensorMemory(NamedTuple):
         previous: The true motion at the last sample.
         gyro_bias: True bias of the gyroscopes [rad/s].
         accel_bias: True bias of the accelerometers [m/s^2].
-        positions: True positions at the last samples [m], the newest first, as many as the delay.
+        positions: True positions at the last samples [m], the newest first; as many as the delay has samples.
     """
 
     previous: Motion
@@ -134,7 +134,7 @@ class Increments(NamedTuple):
 
 
 class Aids(NamedTuple):
-    """Readings of position [m], height [m] and heading [rad] at a sample, each with whether it was taken then."""
+    """Readings of position [m], height [m] and heading [rad] at a sample, with flags whether each was taken there."""
 
     position: Vec3
     has_position: Scalar

@@ -181,7 +181,10 @@ class Lean(NamedTuple):
 
 
 class Demand(NamedTuple):
-    """Demand of the inner loops: thrust [N], moment [N m], rates of the integrals, and whether a_z was bounded."""
+    """Demand of the inner loops: thrust [N], moment [N m], rates of the integrals, and whether a_z was bounded.
+
+    The wanted lift a_z + g is bounded below by ``LEAST_LIFT``.
+    """
 
     thrust: Scalar
     moment: Vec3
