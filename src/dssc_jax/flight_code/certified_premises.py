@@ -134,9 +134,8 @@ def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> P
     """
     problem = content["problem"]
     units = study.units[0]
-    stages = [
-        proof["stages"][0] for proof in content["proofs"]
-    ]  # the first stage of each box's proof holds from the first sample on
+    # of each box's proof, the first stage holds from the first sample on
+    stages = [proof["stages"][0] for proof in content["proofs"]]
     depends_on_state = any(problem["by_state"])
     level = max(stage["level"] for stage in stages) if depends_on_state else problem["level"]
     slope = max(stage["slope"] for stage in stages) if depends_on_state else problem["slope"]

@@ -90,7 +90,8 @@ class OperationCount:
     def loop(self, loop: CodeLoop, start: int) -> Counter[str]:
         """Count the operations of a loop's body once; arguments as for :meth:`block`.
 
-        Its results are as deep as its deepest initial or next state, because the number of iterations is not known.
+        The loop's results are as deep as its deepest initial or next state, because the number of iterations is not
+        known.
         """
         self.loops += 1
         counts = self.block(loop.body, self.deepest(loop.initial_states, start))

@@ -72,7 +72,7 @@ class SeenFlags(NamedTuple):
 def roundings() -> float:
     """Allowance for the roundings of a formula, relative to the numbers in it.
 
-    It is eight rounding errors of the present precision.
+    The allowance is eight rounding errors of the present precision.
     """
     return 8.0 * float(jnp.finfo(jnp.result_type(float)).eps)
 

@@ -143,7 +143,8 @@ def parameter_pointer(controller: SampledController, function: FunctionText) -> 
 def start_function(code: FlightCode, controller: SampledController) -> FunctionText:
     """The function in C that computes the state before the first step.
 
-    It is a function of parameters, measurement and reference; an argument that it does not read is cast to void.
+    Its arguments are parameters, measurement and reference; an argument that the function does not read is cast to
+    void.
     """
     function = FunctionText(code, controller, controller.start)
     function.compute(function.outputs)
