@@ -90,7 +90,7 @@ class FmuController:
     def init(self, gains: Params, measurement: Measurement, reference: ReferencePoint) -> tuple[Scalar, ...]:
         """The state before an instance of the FMU is started: empty words, which :meth:`begin` replaces.
 
-        They hold the place of the instance's handle; parameters and signals do not enter here.
+        The empty words hold the place of the instance's handle; parameters and signals do not enter here.
         """
         return empty_words()
 

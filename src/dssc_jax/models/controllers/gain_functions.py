@@ -90,7 +90,7 @@ class StandardSta(NamedTuple):
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r.
 
-        The values of k_o, tau_av and tau_m at sigma [y/s]; they do not depend on e and l0.
+        k_o, tau_av and tau_m depend on sigma [y/s] alone, not on e and l0.
         """
         r = root_abs(sigma, ROOT_FLOOR)
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
@@ -149,7 +149,8 @@ class ApproximateSta1(NamedTuple):
 class ApproximateSta2(NamedTuple):
     """The functions of the second approximation of the STA.
 
-    They are those of the standard STA with r + delta in place of r, so that nothing vanishes at sigma = 0.
+    They are those of the standard STA with r + delta in place of r, so that k_o tau_av and tau_m stay positive at sigma
+    = 0.
     """
 
     kappa1: Annotated[Scalar, KAPPA_1]
@@ -167,7 +168,7 @@ class ApproximateSta2(NamedTuple):
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """Table 2, row 4: k_o tau_av = 2 (r + delta)/kappa1, tau_m = (kappa1/kappa2)(r + delta).
 
-        The values of k_o, tau_av and tau_m at sigma [y/s]; they do not depend on e and l0.
+        k_o, tau_av and tau_m depend on sigma [y/s] alone, not on e and l0.
         """
         r = root_abs(sigma) + self.delta
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
@@ -198,7 +199,7 @@ class SquareRoot(NamedTuple):
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """k_o = kappa_o (r + delta_o), tau_m = kappa_m (r + delta_m).
 
-        tau_av is constant. The values at sigma [y/s] do not depend on e and l0.
+        tau_av is constant. k_o and tau_m depend on sigma [y/s] alone, not on e and l0.
         """
         r = root_abs(sigma)
         return StateFunctions(self.kappa_o * (r + self.delta_o), self.tau_av, self.kappa_m * (r + self.delta_m))
@@ -232,7 +233,7 @@ class Field(NamedTuple):
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
         """tau_av = 2 r/(k_o kappa1) + delta, tau_m = kappa1 r/(2 kappa2) + delta.
 
-        k_o is constant. The values at sigma [y/s] do not depend on e and l0.
+        k_o is constant. tau_av and tau_m depend on sigma [y/s] alone, not on e and l0.
         """
         r = root_abs(sigma)
         tau_av = 2.0 * r / (self.k_o * self.kappa1) + self.delta

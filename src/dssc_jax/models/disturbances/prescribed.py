@@ -83,7 +83,11 @@ def sine_value(
 
 
 def check_knots(params: SplineParams) -> SplineParams:
-    """The parameters themselves, which must have at least one knot; raises ConfigError."""
+    """The parameters themselves, which must have at least one knot.
+
+    Raises:
+        ConfigError: There is no knot.
+    """
     if not params.knots:
         raise ConfigError("knots", "needs at least one knot, got none")
     return params

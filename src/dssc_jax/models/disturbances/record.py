@@ -47,7 +47,11 @@ def recorded_disturbance(rule: Interpolation) -> Disturbance:
     """Make the disturbance that interpolates a record by a rule; with ``hold`` it is constant over a sample."""
 
     def prepare(params: RecordedDisturbanceParams) -> Pieces:
-        """The record as a piecewise cubic function of time; raises ConfigError."""
+        """The record as a piecewise cubic function of time.
+
+        Raises:
+            ConfigError: The times do not rise, or their number is not that of the values.
+        """
         return cubic_pieces(params.time, params.value, rule)
 
     if rule == Interpolation.HOLD:

@@ -46,7 +46,11 @@ class GrowingState(NamedTuple):
 
 
 def prepare(params: GrowingParams) -> GrowingParams:
-    """The parameters themselves, whose memory must be a whole number of samples; raises ConfigError."""
+    """The parameters themselves, whose memory must be a whole number of samples.
+
+    Raises:
+        ConfigError: The memory is not whole.
+    """
     if not float(params.memory).is_integer():
         raise ConfigError("memory", f"must be a whole number of samples, got {params.memory:g}")
     return params

@@ -28,7 +28,11 @@ class PayloadParams(NamedTuple):
 
 
 def prepare(params: PayloadParams) -> PayloadParams:
-    """The parameters themselves, whose place must have the three values x, y, z; raises ConfigError."""
+    """The parameters themselves, whose place must have the three values x, y, z.
+
+    Raises:
+        ConfigError: The place has another number of values.
+    """
     if len(params.offset) != 3:
         raise ConfigError("offset", f"needs three values, got {len(params.offset)}")
     return params

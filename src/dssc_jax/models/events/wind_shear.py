@@ -21,7 +21,11 @@ class ShearParams(NamedTuple):
 
 
 def prepare(params: ShearParams) -> ShearParams:
-    """The parameters themselves, whose gradient must have the three values x, y, z; raises ConfigError."""
+    """The parameters themselves, whose gradient must have the three values x, y, z.
+
+    Raises:
+        ConfigError: The gradient has another number of values.
+    """
     if len(params.gradient) != 3:
         raise ConfigError("gradient", f"needs three values, got {len(params.gradient)}")
     return params

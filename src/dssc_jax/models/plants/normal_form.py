@@ -69,7 +69,12 @@ def input_gain(params: NormalFormParams) -> Scalar:
 
 
 def prepare(params: NormalFormParams) -> NormalFormParams:
-    """Check the zero dynamics and the length of the initial state; raises ConfigError."""
+    """The parameters themselves, after a check of the zero dynamics and of the initial state's length.
+
+    Raises:
+        ConfigError: The zero dynamics are not stable, their coefficients differ in number, or the initial state has too
+            few or too many values.
+    """
     order = 0
     if params.zero_dynamics is not None:
         require_hurwitz(params.zero_dynamics)

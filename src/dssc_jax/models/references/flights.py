@@ -34,7 +34,11 @@ Placed = TypeVar("Placed", HoverParams, StepsParams)
 
 
 def require_place_in_space(params: Placed) -> Placed:
-    """The parameters themselves, whose position must have the three values x, y, z; raises ConfigError."""
+    """The parameters themselves, whose position must have the three values x, y, z.
+
+    Raises:
+        ConfigError: The position has another number of values.
+    """
     if len(params.position) != 3:
         raise ConfigError("position", f"needs three values, got {len(params.position)}")
     return params

@@ -78,7 +78,11 @@ def pulse_at(params: PulseParams, t: Scalar) -> ReferencePoint:
 
 
 def prepare_pulse(params: PulseParams) -> PulseParams:
-    """The parameters themselves, whose pulses must end before the next ones begin; raises ConfigError."""
+    """The parameters themselves, whose pulses must end before the next ones begin.
+
+    Raises:
+        ConfigError: For some values of their laws, the width is not below the period.
+    """
     _, widest = extent(params.width)
     shortest, _ = extent(params.period)
     if not widest < shortest:

@@ -40,7 +40,7 @@ def path_length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.nda
 def nonzero_path_speed(path: CubicSpline, u: np.ndarray) -> np.ndarray:
     """The speed |dr/du| of :func:`path_speed`, but the smallest normal number in place of 0.
 
-    The result can be divided by.
+    One can therefore divide by the result. Arguments are as for :func:`path_speed`.
     """
     return np.maximum(path_speed(path, u), np.finfo(float).tiny)
 

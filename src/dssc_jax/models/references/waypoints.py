@@ -135,7 +135,11 @@ def check_path(params: WaypointParams) -> None:
 
 
 def check_numbers(params: WaypointParams) -> None:
-    """Require at least two waypoints, lists of one length, and finite numbers in range; raises ConfigError."""
+    """Require at least two waypoints, lists of one length, and finite numbers in their ranges.
+
+    Raises:
+        ConfigError: A list is too short or has another length, or a number is out of its range.
+    """
     count = len(params.latitude_deg)
     if count < 2:
         raise ConfigError("latitude_deg", f"must hold at least two waypoints, got {count}")
@@ -154,12 +158,15 @@ def check_numbers(params: WaypointParams) -> None:
 
 
 def require_in_range(name: str, value: float, quantity: Quantity) -> None:
-    """Require a finite number in the range of a quantity; raises ConfigError.
+    """Require that a number is finite and in the range of a quantity.
 
     Args:
         name: Place of the number, for the message.
         value: The number.
         quantity: Unit, meaning and range.
+
+    Raises:
+        ConfigError: The number is not.
     """
     violation = quantity.violated_by(value, value)  # a number is an interval whose ends are equal
     if violation is None and not math.isfinite(value):

@@ -80,7 +80,11 @@ def sample_count(name: str, value: object) -> int:
 
 
 def prepare(params: NoisyParams) -> NoisyParams:
-    """The parameters themselves, whose delay and period must be whole numbers of samples; raises ConfigError."""
+    """The parameters themselves, whose delay and period must be whole numbers of samples.
+
+    Raises:
+        ConfigError: One of them is not whole, or has a law.
+    """
     sample_count("delay_samples", params.delay_samples)
     sample_count("period_samples", params.period_samples)
     return params

@@ -143,7 +143,11 @@ def parameters_in(text: str) -> dict[str, float]:
 
 
 def require_finite(values: Mapping[str, float]) -> None:
-    """Require that every parameter that is read is finite and at most ``LARGEST_PARAMETER``; raises ConfigError."""
+    """Require that every parameter that is read is finite, and of a size of at most ``LARGEST_PARAMETER``.
+
+    Raises:
+        ConfigError: A parameter is not.
+    """
     for name, value in values.items():
         if name.startswith(PREFIXES) and not abs(value) <= LARGEST_PARAMETER:
             raise ConfigError(name, f"must be a finite number of at most {LARGEST_PARAMETER:g}, got {value:g}")

@@ -142,7 +142,12 @@ def placed_rotor(parameters: Mapping[str, float], index: int) -> PlacedRotor:
 
 
 def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
-    """The rotors that CA_ROTOR_COUNT and CA_ROTORi_ describe; raises ConfigError."""
+    """The rotors that CA_ROTOR_COUNT and CA_ROTORi_ describe.
+
+    Raises:
+        ConfigError: The airframe is no multirotor of the model, a rotor has no place or no axis, all rotors are at the
+            centre, or their thrust coefficients differ.
+    """
     count = rotor_count(parameters)
     require_places(parameters, count)
     rotors = [placed_rotor(parameters, i) for i in range(count)]

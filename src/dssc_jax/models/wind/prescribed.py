@@ -184,7 +184,11 @@ def gust_bounds(params: GustParams) -> WindBounds:
 
 
 def check_wind_knots(params: SplineWindParams) -> SplineWindParams:
-    """The parameters themselves, which must have at least one knot in x, y or z; raises ConfigError."""
+    """The parameters themselves, which must have at least one knot in x, y or z.
+
+    Raises:
+        ConfigError: There is no knot.
+    """
     if not (params.x or params.y or params.z):
         raise ConfigError("x", "needs at least one knot in x, y or z, got none")
     return params

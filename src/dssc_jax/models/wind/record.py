@@ -94,7 +94,11 @@ def recorded_wind(rule: Interpolation) -> Wind:
     """
 
     def prepare(params: RecordedWindParams) -> tuple[Pieces, ...]:
-        """The three components as piecewise cubic functions of time; raises ConfigError."""
+        """The three components as piecewise cubic functions of time.
+
+        Raises:
+            ConfigError: The times do not rise, or their number is not that of the values.
+        """
         return columns_as_pieces(params.time, {"x": params.x, "y": params.y, "z": params.z}, rule)
 
     if rule == Interpolation.HOLD:
