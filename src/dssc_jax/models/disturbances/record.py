@@ -50,7 +50,7 @@ def recorded_disturbance(rule: Interpolation) -> Disturbance:
         """The record as a piecewise cubic function of time.
 
         Raises:
-            ConfigError: The times do not rise, or their number is not that of the values.
+            ConfigError: The times do not rise, are too few or too many, or do not have one value each.
         """
         return cubic_pieces(params.time, params.value, rule)
 

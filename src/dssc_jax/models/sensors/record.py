@@ -56,7 +56,7 @@ def prepare(params: RecordedNoiseParams) -> RecordedNoise:
     Each value begins a little early, because the times k T_s of samples are rounded.
 
     Raises:
-        ConfigError: The times do not rise, or the columns do not have one value for each.
+        ConfigError: The times do not rise, are too few or too many, or do not have one value each in both columns.
     """
     columns = {"position": params.position, "velocity": params.velocity}
     pieces = columns_as_pieces(params.time, columns, Interpolation.HOLD)

@@ -97,7 +97,7 @@ def recorded_wind(rule: Interpolation) -> Wind:
         """The three components as piecewise cubic functions of time.
 
         Raises:
-            ConfigError: The times do not rise, or their number is not that of the values.
+            ConfigError: The times do not rise, are too few or too many, or do not have one value each.
         """
         return columns_as_pieces(params.time, {"x": params.x, "y": params.y, "z": params.z}, rule)
 
