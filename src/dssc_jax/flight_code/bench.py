@@ -80,7 +80,14 @@ def name_tables(controller: SampledController) -> list[str]:
 
 
 def channel_shape(code: FlightCode, controller: SampledController) -> str:
-    """The row of a channel in the bench's table: its label, counts, signals whose size is checked, and names."""
+    """The row of a channel in the bench's table: its label, counts, signals whose size is checked, and names.
+
+    The signals whose size is checked are the measured and the desired y, with the limit of angles or without one.
+
+    Args:
+        code: The controllers.
+        controller: The controller of the channel.
+    """
     name = controller.prefix
     label = c_string(f"{controller.channel}: " if controller.channel else "")
     counts = f"{len(controller.parameters)}u, {len(controller.states)}u, {len(row_names(controller))}u"

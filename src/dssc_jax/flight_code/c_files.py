@@ -58,7 +58,10 @@ def absolute_value(real: np.dtype) -> str:
 
 
 def finite_function(real: np.dtype) -> str:
-    """The definition of the function ``is_finite`` in C, which is right in fast arithmetic, too."""
+    """The definition of the function ``is_finite`` in C, which is right in fast arithmetic, too.
+
+    It compares the size of the number with the largest finite number, which is false for infinity and for NaN.
+    """
     largest = "FLT_MAX" if real.itemsize == 4 else "DBL_MAX"
     return fill("is_finite.c", real=c_type(real), fabs=absolute_value(real), largest=largest)
 

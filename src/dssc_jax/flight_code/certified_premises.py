@@ -1,4 +1,7 @@
-"""Verify a certificate's file and read the bounds that a monitor watches; only for the loop of the study itself."""
+"""Read the bounds that a monitor watches from a certificate, after the verifier has accepted the certificate.
+
+A certificate of another loop than the study's is refused.
+"""
 
 import json
 
@@ -55,7 +58,10 @@ def certified_premises(study: Study, content: object, source: str) -> Premises:
 
 
 def differing_entry(problem: JsonObject, certified_problem: JsonObject) -> str:
-    """The name of the first entry in which two different problems differ; "kind" if only their kinds differ."""
+    """The name of the first entry in which two different problems differ; "kind" if only their kinds differ.
+
+    The problems differ for certain: the caller has compared them.
+    """
     for name in (*problem, *certified_problem):
         if problem.get(name) != certified_problem.get(name):
             return name
@@ -63,7 +69,13 @@ def differing_entry(problem: JsonObject, certified_problem: JsonObject) -> str:
 
 
 def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict) -> Premises:
-    """The premises of a vehicle's certificate, from its content and the verifier's verdict."""
+    """The premises of a vehicle's certificate, from its content and the verifier's verdict.
+
+    Args:
+        study: The study.
+        content: The content of the certificate's file.
+        verdict: The verifier's verdict on the certificate.
+    """
     problem = content["problem"]
     channels = [vehicle_channel(study, problem, verdict, i) for i in range(len(CHANNELS_OF_VEHICLE))]
     wind_h, wind_z = problem["wind"]
@@ -110,10 +122,20 @@ def vehicle_channel(study: Study, problem: JsonObject, verdict: VehicleVerdict, 
 
 
 def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> Premises:
-    """The premises of a certificate of one axis, from its content and the verifier's verdict."""
+    """The premises of a certificate of one axis, from its content and the verifier's verdict.
+
+    The certificate splits the parameters into boxes, each with a proof of its own. A bound that the proofs state is the
+    largest over the boxes, so that it holds for every plant of the certificate.
+
+    Args:
+        study: The study.
+        content: The content of the certificate's file.
+        verdict: The verifier's verdict on the certificate.
+    """
     problem = content["problem"]
     units = study.units[0]
-    stages = [proof["stages"][0] for proof in content["proofs"]]  # the first stage of a box holds from the start on
+    # of each box's proof, the first stage holds from the first sample on
+    stages = [proof["stages"][0] for proof in content["proofs"]]
     depends_on_state = any(problem["by_state"])
     level = max(stage["level"] for stage in stages) if depends_on_state else problem["level"]
     slope = max(stage["slope"] for stage in stages) if depends_on_state else problem["slope"]
@@ -130,7 +152,7 @@ def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> P
             lag_order=lag_order,
             delay_weights=delay_weights(problem["delay"]),
         )
-    e, e_dot = problem["initial"][:2]  # without the state of the zero dynamics
+    e, e_dot = problem["initial"][:2]  # intervals of e and e'; the state of the zero dynamics, if any, follows
     channel = ChannelPremises(
         label="",
         l0=problem["l0"],
@@ -161,7 +183,8 @@ def hidden_disturbance_reason(problem: JsonObject, lag_order: int) -> str:
 
     Args:
         problem: The problem of the certificate.
-        lag_order: Number of equal lags between command and plant; 0: none, or another transfer function.
+        lag_order: Number of equal lags between command and plant; 0 if there is none, or if the transfer function
+            between them is no chain of equal lags.
     """
     if problem["zero_a"]:
         return "the state of the zero dynamics, which acts like one, is not measured"

@@ -47,7 +47,12 @@ class MeasuredSignal(NamedTuple):
 
 
 def measured_signals(study: Study, index: int) -> tuple[MeasuredSignal, ...]:
-    """The measured signals of a channel's controller: y, y' and, if it takes any, those of the study's ``measures``."""
+    """The measured signals of a channel's controller: y, y' and, if it takes any, those of the study's ``measures``.
+
+    Args:
+        study: The study.
+        index: Position of the channel in the loop.
+    """
     units = study.units[index]
     y, y_dot = OF_CHANNEL
     signals = [
@@ -64,7 +69,10 @@ def measured_signals(study: Study, index: int) -> tuple[MeasuredSignal, ...]:
 
 
 def takes_signals(study: Study) -> bool:
-    """Whether any controller of a study, with its gains, takes measured signals beside y and y'."""
+    """Whether any controller of a study, with its gains, takes measured signals beside y and y'.
+
+    The answer is one for all channels: if one controller takes the signals, the measurement of every channel has them.
+    """
     controllers_with_gains = zip(study.loop.controller, study.template.controller, strict=True)
     return any(controller.takes(gains) for controller, gains in controllers_with_gains)
 
@@ -105,16 +113,16 @@ class SampledController:
     Args:
         channel: Name of the channel; empty for a plant with one channel.
         index: Position of the channel.
-        prefix: Prefix of its functions and types in C.
+        prefix: Prefix of the controller's functions and types in C.
         parameters: Numbers that may be changed in flight.
-        states: Names of its states in C.
-        infos: Names of its telemetry in C.
+        states: Names in C of the states of differentiator and controller.
+        infos: Names in C of the telemetry.
         start: ``(parameters, signals) -> states`` before the first sample.
         step: ``(parameters, states, signals) -> (states, command, telemetry)``.
-        transfer: ``(parameters, command, signals) -> (states, command)``: states whose first step gives the command,
-            and the command that this step gives; None: the controller's state cannot carry a command.
+        transfer: ``(parameters, command, signals) -> (states, command)``: states from which the first step gives the
+            wanted command, and the command that this step gives. None: the controller's state cannot carry a command.
         precision: Bits of a number.
-        measured_signals: The members of its measurement.
+        measured_signals: The members of the measurement.
     """
 
     channel: str
@@ -147,7 +155,11 @@ class SampledController:
 
     @property
     def smallest_difference(self) -> np.floating:
-        """The largest difference of two commands near 0 that counts as none, in the command's unit."""
+        """The largest difference of two commands near 0 that counts as none, in the command's unit.
+
+        A bumpless start compares the wanted command with the command of the first step. The comparison ignores
+        differences up to this number, because a relative tolerance is 0 at the command 0.
+        """
         return self.real.type(1e-6 if self.precision == 32 else 1e-9)
 
 
@@ -185,9 +197,13 @@ def sampled_controllers(study: Study) -> list[SampledController]:
 def trace_controller(study: Study, index: int) -> SampledController:
     """Trace the start, the step and, if it has one, the transfer of a channel's controller.
 
+    Args:
+        study: The study, without a sweep.
+        index: Position of the channel in the loop.
+
     Raises:
-        ConfigError: The controller is native code already, keeps states that are no real numbers, or an operation has
-            no exact form in C.
+        ConfigError: The controller is native code already, it keeps a state that is no real number, or one of its
+            operations has no exact form in C.
     """
     loop = study.loop
     place = f"controller.{loop.channels[index]}".rstrip(".")
@@ -257,7 +273,8 @@ def require_real_numbers(channel: str, state: ControlState) -> None:
 
     Args:
         channel: Name of the channel; empty for a plant with one channel.
-        state: Shapes and types of the state as the loop keeps it, which makes signed integers and flags real numbers.
+        state: Shapes and types of the state as the loop keeps it; the loop has already turned signed integers and flags
+            into real numbers.
 
     Raises:
         ConfigError: A state is an array or an unsigned integer; the message has its field.
@@ -286,7 +303,12 @@ def command_parts(command: Command) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def channel_parameters(study: Study, index: int) -> tuple[Parameter, ...]:
-    """The parameters of a channel's code: the numbers of its differentiator and its controller."""
+    """The parameters of a channel's code: the numbers of its differentiator and its controller.
+
+    Args:
+        study: The study.
+        index: Position of the channel in the loop.
+    """
     channel = study.loop.channels[index]
 
     def is_of_channel(path: str) -> bool:
@@ -295,7 +317,10 @@ def channel_parameters(study: Study, index: int) -> tuple[Parameter, ...]:
         return slot in FLOWN_SLOTS and int(position) == index
 
     def name_in_c(key: str) -> str:
-        """The name in C of a number: its path without slot and channel; only ``differentiator`` stays in front."""
+        """The name in C of a number: its path without slot and channel; only ``differentiator`` stays in front.
+
+        The second part of the path may be the channel's name or position, which is left out, too.
+        """
         slot, *fields = key.split(".")
         if fields[0] in {str(index), channel}:
             fields = fields[1:]
@@ -305,7 +330,12 @@ def channel_parameters(study: Study, index: int) -> tuple[Parameter, ...]:
 
 
 def leaf_names(tree: Any, root: str = "") -> tuple[str, ...]:
-    """A name in C for each leaf of a tree: the fields of its path, without a first field that is ``root``."""
+    """A name in C for each leaf of a tree: the fields of its path, without a first field that is ``root``.
+
+    Args:
+        tree: A tree of named tuples.
+        root: A first field to leave out; the default leaves out none.
+    """
     names = []
     leaves, _ = tree_flatten_with_path(tree)
     for path, _ in leaves:
@@ -315,7 +345,11 @@ def leaf_names(tree: Any, root: str = "") -> tuple[str, ...]:
 
 
 def channel_labels(channels: tuple[str, ...]) -> list[str]:
-    """The part of names in C for each channel, numbered where two would be equal; empty for an unnamed channel."""
+    """The part of names in C for each channel, numbered where two would be equal; empty for an unnamed channel.
+
+    Args:
+        channels: Name of each channel in the study, which may have characters that C does not allow in names.
+    """
     labels: list[str] = []
     for channel in channels:
         base = underscored(channel)

@@ -1,4 +1,4 @@
-"""The cost of a controller's step: operations, the longest chain of them, and memory."""
+"""The cost of a controller's step: the operations, the longest chain of operations, and the memory."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -46,9 +46,10 @@ def program_cost(program: Program) -> StepCost:
 
 
 class OperationCount:
-    """Counts the operations of a program.
+    """Counts the operations of a program, and finds the longest chain of operations that wait for each other.
 
-    The depth of a value is the length of the longest chain of operations that it needs, its own included.
+    The depth of a value is the length of the longest chain of operations that leads to it, including the operation
+    that computes the value.
 
     Args:
         program: The program.
@@ -65,7 +66,7 @@ class OperationCount:
 
         Args:
             block: The block.
-            start: Depth at which its first operations can begin.
+            start: Depth of what the block waits for, such as the condition of a branch.
         """
         counts: Counter[str] = Counter()
         for node in block.nodes:
@@ -87,7 +88,11 @@ class OperationCount:
         return Counter() if is_free else Counter([value.operation])
 
     def loop(self, loop: CodeLoop, start: int) -> Counter[str]:
-        """Count the operations of a loop's body once; arguments as for :meth:`block`."""
+        """Count the operations of a loop's body once; arguments as for :meth:`block`.
+
+        The loop's results are as deep as its deepest initial or next state, because the number of iterations is not
+        known.
+        """
         self.loops += 1
         counts = self.block(loop.body, self.deepest(loop.initial_states, start))
         self.finish(loop.results, self.deepest([*loop.initial_states, *loop.next_states], start))
@@ -101,11 +106,17 @@ class OperationCount:
         return max(counts_of_sides, key=Counter.total)
 
     def deepest(self, values: Iterable[Value], start: int) -> int:
-        """The depth at which all of some values are computed, in a block that begins at the depth ``start``."""
+        """The depth at which all of some values are computed, in a block that begins at the depth ``start``.
+
+        A value that has no depth yet, such as an input of the program, counts with the depth 0.
+        """
         return max([start, *(self.depths.get(id(value), 0) for value in values)])
 
     def finish(self, results: Iterable[Value], depth: int) -> None:
-        """Set the depth of the results of a loop or branch."""
+        """Set the depth of the results of a loop or branch.
+
+        A loop or branch gives all its results together, once its deepest value is computed.
+        """
         self.depths.update({id(result): depth for result in results})
 
 

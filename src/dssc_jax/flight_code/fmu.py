@@ -74,6 +74,8 @@ def controller_fmu(code: FlightCode) -> ControllerFmu:
     """The FMU of a study's controllers, from the same texts as the folder of ``dssc-jax code``.
 
     A digest of all texts identifies it, so that FMUs of equal texts have one identifier.
+
+    The digest covers the texts with an empty identifier, because a text cannot contain its own digest.
     """
     sources = {
         f"{code.name}_controller.h": header_text(code),

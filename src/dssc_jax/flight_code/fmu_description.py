@@ -45,7 +45,10 @@ def xml_text(text: str) -> str:
 
 
 def base_exponents(unit: str) -> dict[str, int] | None:
-    """A unit by its exponents of FMI's base units; None if it is no product of whole powers of SI units."""
+    """A unit by its exponents of FMI's base units; None if it is no product of whole powers of SI units.
+
+    Exponents that are 0 are left out.
+    """
     try:
         powers = parse_unit(unit)
     except ValueError:
@@ -106,13 +109,22 @@ def attribute(text: str) -> str:
 
 
 def element(tag: str, attributes: Mapping[str, str], content: str = "") -> str:
-    """An element in XML, empty or with another element as its content."""
+    """An element in XML, empty or with another element as its content.
+
+    Args:
+        tag: Name of the element.
+        attributes: Values of the attributes, not yet escaped, by name.
+        content: The element inside, as XML; empty: there is none.
+    """
     pairs = "".join(f' {name}="{attribute(value)}"' for name, value in attributes.items())
     return f"<{tag}{pairs}>\n  {content}\n</{tag}>" if content else f"<{tag}{pairs} />"
 
 
 def xml_number(number: float) -> str:
-    """A number in XML, with all its digits."""
+    """A number in XML, with all its digits.
+
+    XML Schema writes infinity as INF, and Python as inf.
+    """
     if math.isnan(number):
         return "NaN"
     if math.isinf(number):

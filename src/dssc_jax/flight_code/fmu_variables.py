@@ -30,7 +30,7 @@ class FmuVariable(NamedTuple):
     Args:
         name: Name, with dots.
         causality: ``parameter``, ``input`` or ``output``.
-        unit: Unit; empty if it has none, as a flag.
+        unit: Unit; empty for numbers without a stated unit, such as flags and telemetry.
         meaning: Meaning in words.
         start: Value before the first step; None for outputs, which are computed.
         lower: Least admissible value; None: there is none.
@@ -47,12 +47,18 @@ class FmuVariable(NamedTuple):
 
 
 def channel_variable(controller: SampledController, name: str) -> str:
-    """The name in the FMU of a channel's variable, with the channel in front as in trajectories."""
+    """The name in the FMU of a channel's variable, with the channel in front as in trajectories.
+
+    The only channel of a plant has no name, and adds none.
+    """
     return f"{controller.channel}.{name}" if controller.channel else name
 
 
 def parameter_name(controller: SampledController, parameter: Parameter) -> str:
-    """The name in the FMU of a parameter: its name in the study, or ``computed.`` with its name in C."""
+    """The name in the FMU of a parameter: its name in the study, or ``computed.`` with its name in C.
+
+    A parameter without a quantity is a number that the study computes, such as an entry of a matrix of gains.
+    """
     if parameter.quantity is None:
         return channel_variable(controller, f"computed.{parameter.name}")
     return parameter.key
@@ -69,7 +75,10 @@ def fmu_parameters(code: FlightCode) -> list[FmuVariable]:
 
 
 def parameter_variable(controller: SampledController, parameter: Parameter) -> FmuVariable:
-    """The variable of a parameter, with the study's value as its start, rounded to the controller's numbers."""
+    """The variable of a parameter, with the study's value as its start, rounded to the controller's numbers.
+
+    Lower and upper bounds are those of the parameter's quantity; a number that the study computes has none.
+    """
     name = parameter_name(controller, parameter)
     start = float(controller.real.type(parameter.value))
     quantity = parameter.quantity
@@ -88,7 +97,12 @@ def parameter_variable(controller: SampledController, parameter: Parameter) -> F
 
 
 def finite_bound(inclusive: float | None, exclusive: float | None) -> float | None:
-    """The bound that is finite, the inclusive one first; None if neither is. FMI makes no difference between both."""
+    """The bound that is finite, the inclusive one first; None if neither is. FMI makes no difference between both.
+
+    Args:
+        inclusive: Bound that the value may reach; None: there is none.
+        exclusive: Bound that the value must not reach; None: there is none.
+    """
     for bound in (inclusive, exclusive):
         if bound is not None and math.isfinite(bound):
             return bound
@@ -96,7 +110,10 @@ def finite_bound(inclusive: float | None, exclusive: float | None) -> float | No
 
 
 def fmu_inputs(study: Study, controller: SampledController) -> list[FmuVariable]:
-    """The inputs of a channel: measurement and reference."""
+    """The inputs of a channel: measurement and reference.
+
+    All inputs start at 0, until the simulator sets them.
+    """
     units = study.units[controller.index]
     derivatives = (  # unit and order in words of each member of a reference
         (units.of("y"), ""),
@@ -114,7 +131,12 @@ def fmu_inputs(study: Study, controller: SampledController) -> list[FmuVariable]
 
 
 def fmu_outputs(study: Study, controller: SampledController) -> list[FmuVariable]:
-    """The outputs of a channel: command and telemetry."""
+    """The outputs of a channel: command and telemetry.
+
+    Args:
+        study: The study.
+        controller: The controller of the channel.
+    """
     units = study.units[controller.index]
     parts = ("robust part of the", "nominal part of the", "whole")
     variables = []
@@ -128,7 +150,10 @@ def fmu_outputs(study: Study, controller: SampledController) -> list[FmuVariable
 
 
 def real_variables(code: FlightCode) -> list[FmuVariable]:
-    """All real variables of the FMU; the position of a variable is its value reference."""
+    """All real variables of the FMU; the position of a variable is its value reference.
+
+    Parameters come first, then the inputs of all channels, then their outputs.
+    """
     variables = fmu_parameters(code)
     for controller in code.controllers:
         variables += fmu_inputs(code.study, controller)
@@ -144,7 +169,12 @@ def flag_variables(code: FlightCode) -> list[FmuVariable]:
 
 
 def variables_text(code: FlightCode, guid: str) -> str:
-    """The text of ``fmu_variables.h``: the values of the variables, and their exchange with the controllers."""
+    """The text of ``fmu_variables.h``: the values of the variables, and their exchange with the controllers.
+
+    Args:
+        code: The controllers.
+        guid: Identifier that binds the header to the description.
+    """
     variables = real_variables(code)
     references = {variable.name: reference for reference, variable in enumerate(variables)}
     causalities = [variable.causality for variable in variables]
@@ -185,12 +215,20 @@ def channel_label(controller: SampledController) -> str:
 
 
 def plain_message(text: str) -> str:
-    """A message with ? in place of % and #, which simulators would replace by other texts."""
+    """A message with ? in place of % and #, which simulators would replace by other texts.
+
+    Args:
+        text: The message, which may contain names from the study.
+    """
     return text.replace("%", "?").replace("#", "?")
 
 
 def rule_table(controller: SampledController) -> list[str]:
-    """The table in C of messages for parameters outside of their ranges."""
+    """The table in C of messages for parameters outside of their ranges.
+
+    The function ``check`` of a controller returns the number of the first inadmissible parameter, from 1 on. The table
+    gives the message for that number.
+    """
     messages = []
     for parameter in controller.parameters:
         interval = parameter.quantity.interval if parameter.quantity is not None else ""

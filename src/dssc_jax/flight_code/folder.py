@@ -33,9 +33,12 @@ RECORDED_SAMPLES = 2000
 
 
 def certificate_sentence(study: Study) -> str:
-    """The verdict of Theorem 1 on the study, in a sentence."""
+    """The verdict of Theorem 1 on the study, in a sentence.
+
+    A study with laws is certified only if the theorem certifies every value that the laws allow.
+    """
     verdict = mark(study)
-    if verdict.certified is None:  # the theorem does not cover it
+    if verdict.certified is None:  # the theorem does not cover such a loop
         return f"No certificate: {verdict.reason}."
     if bool(verdict.certified.all()):
         return "Theorem 1 certifies the study's loop in continuous time, for every value of its laws."
@@ -63,7 +66,11 @@ class FlightFolder:
         self.software = None if software is None else software_files(software)
 
     def texts(self) -> dict[str, str]:
-        """Contents of the text files by name."""
+        """Contents of the text files by name.
+
+        The folder has header and source of the controllers, the bench with its Makefile, and a README. Software on
+        board and the monitor add files of their own.
+        """
         name = self.code.name
         study = self.code.study.name
         further_texts: dict[str, str] = {}
@@ -131,7 +138,10 @@ class FlightFolder:
         return min(draws, study.config.draws), samples
 
     def _with_config_errors(self, parts: Iterator[bytes]) -> Iterator[bytes]:
-        """The parts of a recording, with a ConfigError where the lane has no strict machine code."""
+        """The parts of a recording, with a ConfigError where the lane has no strict machine code.
+
+        The parts are computed one by one, so the error comes while they are read and not when this method is called.
+        """
         try:
             yield from parts
         except Unsupported as problem:
@@ -169,7 +179,10 @@ def monitor_summary(monitor: TracedMonitor) -> dict[str, Json]:
 
 
 def channel_summary(controller: SampledController) -> dict[str, Json]:
-    """The JSON object of a channel: its names in C and its cost."""
+    """The JSON object of a channel: its names in C and its cost.
+
+    ``operations`` counts a step without telemetry, ``operations_with_telemetry`` a step with it.
+    """
     cost = step_cost(controller)
     return {
         "channel": controller.channel,

@@ -37,7 +37,10 @@ def file_comment(code: FlightCode) -> list[str]:
 
 
 def missing_parts(study: Study) -> list[str]:
-    """The parts of the loop that a flight needs beside the generated code, in words."""
+    """The parts of the loop that a flight needs beside the generated code, in words.
+
+    The plant's software on board is among them unless it is generated, too, which needs a period of its own.
+    """
     software = study.loop.plant.software
     generated = software is not None and software.period(study.template.plant) is not None
     return [
@@ -49,7 +52,12 @@ def missing_parts(study: Study) -> list[str]:
 
 
 def declarations(study: Study, controller: SampledController) -> str:
-    """The declarations in C of the structures and functions of one channel."""
+    """The declarations in C of the structures and functions of one channel.
+
+    Args:
+        study: The study.
+        controller: The controller of the channel.
+    """
     units = study.units[controller.index]
     command = units.command
     reference_units = (units.output, f"{units.output}/s", f"{units.output}/s^2")
@@ -81,6 +89,11 @@ def member_text(kind: str, name: str, explanation: str) -> str:
     """The declaration in C of a member of a structure, with an explanation as its comment.
 
     Marks in the explanation that would end the comment are broken up; characters beyond ASCII become ?.
+
+    Args:
+        kind: Type in C.
+        name: Name of the member.
+        explanation: Text of the comment; empty: no comment.
     """
     if not explanation:
         return f"{kind} {name};"
@@ -89,12 +102,21 @@ def member_text(kind: str, name: str, explanation: str) -> str:
 
 
 def is_angle(study: Study, controller: SampledController) -> bool:
-    """Whether the output of the channel is an angle."""
+    """Whether the output of the channel is an angle.
+
+    Args:
+        study: The study, whose plant names the channels of angles.
+        controller: The controller of the channel.
+    """
     return controller.channel in study.loop.plant.angles
 
 
 def transfer_declaration(controller: SampledController) -> str:
-    """The declaration in C of the function for a bumpless start, or a comment why there is none."""
+    """The declaration in C of the function for a bumpless start, or a comment why there is none.
+
+    Args:
+        controller: The controller of the channel.
+    """
     if controller.transfer is None:
         return f"/* No {controller.prefix}_transfer: the controller has no state that could carry a command. */"
     return fill(

@@ -50,7 +50,10 @@ def channel_text(code: FlightCode, controller: SampledController) -> str:
 
 
 def parameter_rows(controller: SampledController) -> list[str]:
-    """The rows in C of the table of parameters: unit, meaning, least and greatest value of each."""
+    """The rows in C of the table of parameters: unit, meaning, least and greatest value of each.
+
+    A parameter without a quantity is a number that the study computes; it has no unit and no limits.
+    """
     computed_quantity = Quantity("", "computed from the study")
     rows = []
     for parameter in read_parameters(controller):
@@ -62,7 +65,10 @@ def parameter_rows(controller: SampledController) -> list[str]:
 
 
 def telemetry_rows(code: FlightCode, controller: SampledController) -> list[str]:
-    """The rows in C of the table of telemetry: unit and meaning of each number."""
+    """The rows in C of the table of telemetry: unit and meaning of each number.
+
+    A number that the controller does not declare gets the unit 1, and its name in place of a meaning.
+    """
     info_quantities = quantities_of(code.study.loop.controller[controller.index].info)
     units = code.study.units[controller.index]
     rows = []
@@ -83,13 +89,21 @@ def measured_rows(controller: SampledController) -> list[str]:
 
 
 def read_parameters(controller: SampledController) -> list[Parameter]:
-    """The parameters that start or step reads; others, such as those of metrics, are no parameters of a library."""
+    """The parameters that start or step reads; others, such as those of metrics, are no parameters of a library.
+
+    The order of the parameters stays.
+    """
     read_positions = read_inputs(controller.start.program) | read_inputs(controller.step.program)
     return [parameter for position, parameter in enumerate(controller.parameters) if position in read_positions]
 
 
 def table_lines(name: str, rows: Sequence[str]) -> list[str]:
-    """The definition of a table in C; none without rows, because C has no empty tables."""
+    """The definition of a table in C; none without rows, because C has no empty tables.
+
+    Args:
+        name: Name of the table in C.
+        rows: The rows in C.
+    """
     if not rows:
         return []
     return [f"static const dssc_jax_number {name}[] = {{", *(f"    {row}," for row in rows), "};"]
@@ -101,7 +115,12 @@ def table_argument(name: str, rows: Sequence[str]) -> str:
 
 
 def c_limits(quantity: Quantity, real: np.dtype) -> tuple[str, str]:
-    """The least and the greatest admissible value of a quantity in C; an excluded bound is moved to the next number."""
+    """The least and the greatest admissible value of a quantity in C; an excluded bound is moved to the next number.
+
+    Args:
+        quantity: The quantity.
+        real: The dtype of the controller's numbers, in which an excluded bound has its next number.
+    """
     low = -np.inf if quantity.at_least is None else quantity.at_least
     high = np.inf if quantity.at_most is None else quantity.at_most
     if quantity.above is not None:

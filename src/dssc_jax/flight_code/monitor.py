@@ -1,8 +1,8 @@
 """The monitor of a flight: a pure step function that tells which premises of a certificate the flight violates.
 
-``initial_monitor(premises)`` is its state before the first sample, ``monitor(premises, state, sample)`` one step. It is
-written as C in the same way as the controllers. A number that is not finite counts as unknown: it raises no flag, and
-clears none that is latched.
+``initial_monitor(premises)`` gives the monitor's state before the first sample, and ``monitor(premises, state,
+sample)`` makes one step. The step is written as C in the same way as the controllers. A number that is not finite
+counts as unknown: it raises no flag, and clears none that is latched.
 """
 
 from collections.abc import Sequence
@@ -47,8 +47,8 @@ class MonitorSample(NamedTuple):
 
     Args:
         channels: Signals of each channel.
-        tilt: Tilt [rad]; () if the certificate does not bound it.
-        rotor: Commanded thrust of each rotor [N]; () if the certificate does not bound them.
+        tilt: Angle between body z and the vertical [rad]; () if the certificate does not bound it.
+        rotor: Commanded thrust of each rotor [N]; () if the certificate does not bound the thrusts.
     """
 
     channels: tuple[ChannelSample, ...]
@@ -60,8 +60,8 @@ class ChannelMemory(NamedTuple):
     """The monitor's state of one channel.
 
     Args:
-        sigma: The last known sigma.
-        gap: Number of samples since then, from 1 on; 0: sigma was never known.
+        sigma: sigma at the last sample at which all measurements were finite.
+        gap: Number of samples since that sample, 1 or more; 0: there was no such sample.
         seen: The state of the disturbance's enclosure, a :class:`SeenDisturbance`; () if no bound uses it.
     """
 
@@ -74,10 +74,10 @@ class MonitorState(NamedTuple):
     """The monitor's state between two samples.
 
     Args:
-        latched: Flags that were raised so far, a bit for each in the order of ``premises.flags()``.
+        latched: Flags that were raised so far; each has one bit, in the order of ``premises.flags()``.
         sample: Number of the next sample, from 0 on.
         first: Sample at which each flag was first raised, or :data:`NEVER`.
-        started: 1 if the start of the flight was compared with its bounds, else 0.
+        started: 1 once the start of the flight has been compared with its bounds, else 0.
         channels: State of each channel.
     """
 
@@ -95,8 +95,8 @@ class Deviation(NamedTuple):
         e: Output error e.
         e_dot: Rate of the error e'.
         sigma: sigma = e' + l_0 e.
-        rounding: Bound of the rounding errors of e' and sigma; that of e is this divided by l_0.
-        known: Whether all measurements are finite; if not, the errors are 0.
+        rounding: Bound of the rounding errors of e' and of sigma; the rounding error of e is at most ``rounding``/l_0.
+        known: Whether y, y' and their references are all finite; if not, the errors are 0.
     """
 
     e: Scalar
@@ -107,7 +107,13 @@ class Deviation(NamedTuple):
 
 
 def initial_monitor(premises: Premises) -> MonitorState:
-    """The state before the first sample."""
+    """The state before the first sample.
+
+    Nothing is latched, no flag has a first sample, and no sigma is known.
+
+    Args:
+        premises: The bounds, which determine the flags and the states of the channels.
+    """
     memories = []
     for channel in premises.channels:
         disturbance_state = () if channel.disturbance is None else initial_seen(channel.disturbance)
@@ -125,7 +131,7 @@ def initial_monitor(premises: Premises) -> MonitorState:
 def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, jax.Array]:
     """One sample.
 
-    Its signals are compared with the bounds of the certificate, and the flags of violated bounds are latched.
+    The monitor compares the signals with the bounds of the certificate, and latches the flag of each violated bound.
 
     Args:
         premises: The bounds.
@@ -133,7 +139,7 @@ def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> t
         sample: The signals at the sample.
 
     Returns:
-        The next state, and the flags that this sample raises, a bit for each in the order of ``premises.flags()``.
+        The next state, and the flags that this sample raises; each has one bit, in the order of ``premises.flags()``.
     """
     deviations = []
     for channel, seen in zip(premises.channels, sample.channels, strict=True):
@@ -160,7 +166,12 @@ def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> t
 
 
 def deviation(channel: ChannelPremises, seen: ChannelSample) -> Deviation:
-    """The errors of a channel; 0 where a measurement or a reference is not finite."""
+    """The errors of a channel; 0 where a measurement or a reference is not finite.
+
+    Args:
+        channel: The bounds of the channel.
+        seen: The signals of the channel.
+    """
     known = is_finite(seen.y) & is_finite(seen.y_dot) & is_finite(seen.y_ref) & is_finite(seen.y_ref_dot)
     y = jnp.where(known, seen.y, 0.0)
     y_dot = jnp.where(known, seen.y_dot, 0.0)
@@ -175,9 +186,16 @@ def deviation(channel: ChannelPremises, seen: ChannelSample) -> Deviation:
 def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[Deviation]) -> tuple[Scalar, jax.Array]:
     """Whether the start was compared, and whether it is outside: at the first sample that has every channel.
 
+    The comparison takes place once, at the first sample at which the errors of all channels are known.
+
+    Args:
+        premises: The bounds of the flight.
+        state: The state before the sample.
+        deviations: The tracking errors of each channel at the sample.
+
     Returns:
-        1 if the start of the flight has been compared with its bounds by now, else 0; and whether it is out of bounds,
-        which is true at no sample but the first that has every channel.
+        1 if the comparison has taken place by the end of this sample, else 0; and whether it takes place at this sample
+        and finds the start out of bounds.
     """
     outside = []
     for channel, errors in zip(premises.channels, deviations, strict=True):
@@ -219,6 +237,7 @@ def check_channel(
         flags.append(errors.known & jnp.greater(jnp.abs(errors.e_dot), channel.e_dot))
     flags.append(errors.known & jnp.greater(jnp.abs(errors.sigma), channel.sigma))
     if channel.sigma_slope is not None:
+        # gap samples lie between both values of sigma, each with its own rounding error
         allowed = channel.sigma_slope * premises.sample_time * memory.gap + 2.0 * errors.rounding
         change = jnp.abs(errors.sigma - memory.sigma)
         flags.append(errors.known & begun & jnp.greater(change, allowed))
@@ -235,14 +254,17 @@ def check_channel(
 
 
 def is_finite(number: Scalar) -> jax.Array:
-    """Whether a number is known: neither infinite nor NaN."""
+    """Whether a number is known: neither infinite nor NaN.
+
+    One comparison covers both cases, because it is false for NaN.
+    """
     return jnp.less_equal(jnp.abs(number), float(jnp.finfo(jnp.result_type(float)).max))
 
 
 def exceeds(number: Scalar, bound: float) -> jax.Array:
     """Whether a known number is beyond a bound.
 
-    A number is known if it is finite. It is beyond the bound if its absolute value exceeds the bound.
+    A number is known if it is finite. A known number is beyond the bound if its absolute value exceeds the bound.
     """
     return is_finite(number) & jnp.greater(jnp.abs(number), bound)
 
@@ -260,7 +282,10 @@ def is_outside(number: Scalar, interval: Interval, rounding: Scalar) -> jax.Arra
 
 
 def plane_norm(x: Scalar, y: Scalar) -> Scalar:
-    """The norm of a vector of the plane."""
+    """The norm of a vector of the plane.
+
+    x and y are the components of the vector.
+    """
     return jnp.sqrt(x * x + y * y)
 
 

@@ -33,7 +33,12 @@ Carry: TypeAlias = tuple[LoopState, Scalar, tuple[MonitorState, MonitorState]]
 
 
 def sample_of(premises: Premises, recorded: Recorded) -> MonitorSample:
-    """The monitor's inputs at a simulated sample; () in place of each number that no bound of ``premises`` uses."""
+    """The monitor's inputs at a simulated sample; () in place of each number that no bound of ``premises`` uses.
+
+    Args:
+        premises: The bounds of the monitor.
+        recorded: The record of one sample of the simulated loop.
+    """
     channels = []
     for channel, controlled, reference in zip(premises.channels, recorded.controlled, recorded.references, strict=True):
         command = () if channel.disturbance is None else controlled.command.total
@@ -55,7 +60,13 @@ def sample_of(premises: Premises, recorded: Recorded) -> MonitorSample:
 
 
 def exaggerate(premises: Premises, sample: MonitorSample, k: Scalar) -> MonitorSample:
-    """The sample k with deviations that grow with k; in one of :data:`MISSING_EVERY` samples, y is missing."""
+    """The sample k with deviations that grow with k; in one of :data:`MISSING_EVERY` samples, y is missing.
+
+    Args:
+        premises: The bounds, which tell the signals that a sample has.
+        sample: The sample as the simulation gives it.
+        k: Number of the sample.
+    """
     factor = 1.0 + GROWTH * k
     is_missing = k % MISSING_EVERY == MISSING_EVERY - 1
     channels = []
@@ -76,6 +87,11 @@ def recording_lane(
     """Make the program that records a draw: ``(numbers by name, draw index) -> rows`` of both flights.
 
     Each member of a row is a column of shape (samples,).
+
+    Args:
+        study: The study.
+        premises: The bounds of the monitor.
+        samples: Number of samples of a draw.
     """
 
     def lane(values: dict[str, Scalar], index: jax.Array) -> tuple[Row, Row]:
@@ -104,9 +120,16 @@ def recording_lane(
 
 
 def monitor_row(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, Row]:
-    """The state of the monitor after a sample, and the row to record."""
+    """The state of the monitor after a sample, and the row to record.
+
+    Args:
+        premises: The bounds of the monitor.
+        state: The state of the monitor before the sample.
+        sample: The monitor's inputs at the sample.
+    """
     next_state, current = monitor(premises, state, sample)
     next_state = typed(next_state)
+    # The floating-point leaves; the row has the latched flags already, and leaves out the counts of samples.
     memories = [leaf for leaf in jax.tree.leaves(next_state) if leaf.dtype.kind == "f"]
     row = (*jax.tree.leaves(sample), current, next_state.latched, *memories)
     real = jnp.result_type(float)
@@ -114,7 +137,14 @@ def monitor_row(premises: Premises, state: MonitorState, sample: MonitorSample) 
 
 
 def recorded_flights(study: Study, traced_monitor: TracedMonitor, draws: int, samples: int) -> Iterator[np.ndarray]:
-    """The rows of a study's first draws, two flights each: an array of shape (samples, members of a row) a flight."""
+    """The rows of a study's first draws, two flights each: an array of shape (samples, members of a row) a flight.
+
+    Args:
+        study: The study.
+        traced_monitor: The monitor.
+        draws: Number of draws.
+        samples: Number of samples of a flight.
+    """
     lane = recording_lane(study, traced_monitor.premises, samples)
     for _, flights in recorded_columns(study, lane, draws):
         for columns in flights:

@@ -56,12 +56,22 @@ def file_comment(monitor: TracedMonitor, study: str) -> list[str]:
 
 
 def flag_name(monitor: TracedMonitor, name: str) -> str:
-    """Name of the constant in C with a flag's bit, from the flag's name."""
+    """Name of the constant in C with a flag's bit, from the flag's name.
+
+    Args:
+        monitor: The monitor, whose prefix comes first.
+        name: Name of the flag, without the prefix.
+    """
     return f"{monitor.prefix}_{name}".upper()
 
 
 def header_text(monitor: TracedMonitor, study: str) -> str:
-    """The header: a sentence for each flag, the sample, the state and the functions."""
+    """The header: a sentence for each flag, the sample, the state and the functions.
+
+    Args:
+        monitor: The monitor.
+        study: Name of the study.
+    """
     real = c_type(monitor.real)
     flags = monitor.premises.flags()
     lines = []
@@ -87,7 +97,12 @@ def input_meaning(name: str) -> str:
 
 
 def source_text(monitor: TracedMonitor, study: str) -> str:
-    """The source of the monitor: its start and its step."""
+    """The source of the monitor: its start and its step.
+
+    Args:
+        monitor: The monitor.
+        study: Name of the study.
+    """
     flag_count = len(monitor.premises.flags())
     first_samples = [f"first[{bit}]" for bit in range(flag_count)]
     memories = [f"memory.{name}" for name in monitor.memories]

@@ -1,7 +1,7 @@
 """Sampled software on board of a plant, such as the inner loops with the mixer, traced to be written as C.
 
-Its gains are parameters of the code. All other numbers of the study are constants, so a number with a law is refused if
-the software reads it.
+The gains of the software are parameters of the code. All other numbers of the study are constants of the code, so a
+number with a law is refused if the software reads it.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,13 +28,14 @@ from dssc_jax.study import Study
 class TracedSoftware:
     """Traced software on board.
 
-    The first inputs of each function are the parameters, the numbers with laws and the readings, in this order; they
-    are the dots below.
+    The inputs of each function begin with the parameters, the numbers with laws and the readings, in this order. Below,
+    three dots stand for these inputs.
 
     Args:
         prefix: Prefix of its functions and types in C.
         parameters: Numbers that may be changed in flight.
-        laws: Names of the study's numbers with laws that are no parameters; the software must read none of them.
+        laws: Names of the numbers that have a law in the study and are no parameters; the software must not read them,
+            because the C has them as constants.
         readings: Names of its measurements in C.
         state_names: Names of its states in C.
         commands: Names of its commands in C, one for each channel.
@@ -75,7 +76,12 @@ class TracedSoftware:
 
 
 def without_software(software: Onboard, state: State) -> State:
-    """The plant's state without the software's part, which leaves the software's measurements."""
+    """The plant's state without the software's part, which leaves the software's measurements.
+
+    Args:
+        software: The software on board.
+        state: The plant's state.
+    """
     return software.holding(state, ())  # (): nothing held
 
 
@@ -84,11 +90,11 @@ class SoftwareFunctions(NamedTuple):
 
     Args:
         params_of: ``(numbers) -> parameters of the plant``, from the parameters and the numbers with laws.
-        start: The states before the first sample; arguments of this and the next functions as of
-            :class:`TracedSoftware`.
-        sample: The part that runs at a sample of the loop.
-        tick: The part that runs at a tick.
-        transfer: The states for a takeover in flight, where the software can take over.
+        start: Computes the states before the first sample. The arguments of this function and of the next ones are
+            those in :class:`TracedSoftware`.
+        sample: Computes the states after the part that runs at a sample of the loop.
+        tick: Computes the states after a tick.
+        transfer: Computes the states for a takeover in flight; to be called only if the software can take over.
     """
 
     params_of: Callable[[Sequence[Scalar]], Any]
@@ -196,7 +202,12 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
 
 
 def estimated_shape(study: Study, true_state: State) -> State:
-    """Shapes and dtypes of the plant's state as its estimator reports it; of the true state without an estimator."""
+    """Shapes and dtypes of the plant's state as its estimator reports it; of the true state without an estimator.
+
+    Args:
+        study: The study.
+        true_state: Shapes and dtypes of the plant's true state.
+    """
     params = study.template.plant
     estimation = study.loop.mimo_plant.estimation
     if estimation is None or not estimation.is_enabled(params):
@@ -210,7 +221,14 @@ def names_in_field(names: Sequence[str], field: str) -> tuple[str, ...]:
 
 
 def software_parameters(study: Study, software: Onboard) -> tuple[Parameter, ...]:
-    """The numbers of the software that may be changed in flight."""
+    """The numbers of the software that may be changed in flight.
+
+    They are the numbers in the fields that the software declares as tunable.
+
+    Args:
+        study: The study.
+        software: The software on board.
+    """
     gains, *_ = software.tunable or ("",)  # the field with the gains comes first
 
     def is_tunable(path: str) -> bool:

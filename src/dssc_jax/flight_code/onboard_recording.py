@@ -31,6 +31,11 @@ def recording_lane(
     """Make the program that records a draw: ``(numbers by name, draw index) -> rows``, one for each tick of a sample.
 
     Each member of a row is a column of shape (samples,).
+
+    Args:
+        study: The study.
+        traced: The software on board.
+        samples: Number of samples of the loop.
     """
     uncertain_keys = [parameter.key for parameter in traced.parameters if parameter.uncertain]
     loop = study.loop
@@ -56,7 +61,13 @@ def recording_lane(
             rows: list[Row] = []
 
             def record_tick(earlier: State, drive: PlantInput, after: State) -> None:
-                """Add the row of a tick, between two states of the plant."""
+                """Add the row of a tick, between two states of the plant.
+
+                Args:
+                    earlier: The state before the tick.
+                    drive: The plant's input during the tick.
+                    after: The state after the tick.
+                """
                 readings = jax.tree.leaves(measured_state(earlier))
                 commands = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
                 states = jax.tree.leaves(software.held(after))
@@ -81,6 +92,12 @@ def recorded_ticks(study: Study, traced: TracedSoftware, draws: int, samples: in
     """The rows of the first draws of a study, shape (ticks, numbers of a row) for each draw.
 
     A flight ends before the first row with a number that is not finite, where the software in C keeps its old state.
+
+    Args:
+        study: The study.
+        traced: The software on board.
+        draws: Number of draws.
+        samples: Number of samples of the loop in each draw.
     """
     lane = recording_lane(study, traced, samples)
     constants = {parameter.key: parameter.value for parameter in traced.parameters}

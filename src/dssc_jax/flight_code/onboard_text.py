@@ -259,7 +259,12 @@ def transfer_declaration(software: TracedSoftware) -> str:
 
 
 def transfer_definition(function: FunctionLines, software: TracedSoftware) -> str:
-    """Write the definition in C of the function for a takeover in flight."""
+    """Write the definition in C of the function for a takeover in flight.
+
+    Args:
+        function: The body of the function.
+        software: The software.
+    """
     return fill(
         "inner_loop_transfer.c",
         name=software.prefix,

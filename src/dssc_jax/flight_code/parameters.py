@@ -20,12 +20,12 @@ class Parameter(NamedTuple):
     """A number of generated code that may be changed in flight.
 
     Args:
-        key: Key in ``Study.params``: its name in the study, or its path if the study computes it.
+        key: Key in ``Study.params``: the number's name in the study, or its path if the study computes it.
         name: Name in C.
-        quantity: Unit, meaning and range; None: its field declares none.
+        quantity: Unit, meaning and range; None: the number's field declares none.
         value: The study's value, or the value at the medians of the laws.
-        uncertain: Whether it has a law in the study, or follows from a number that has one.
-        less_than: Name in C of the parameter below which it must lie; None: of none.
+        uncertain: Whether the number has a law in the study, or follows from a number that has one.
+        less_than: Name in C of a parameter that must be larger than this one; None: there is none.
     """
 
     key: str
@@ -56,7 +56,7 @@ def loop_parameters(
     leaves, _ = tree_flatten_with_path(study.template)
     parameters: dict[str, Parameter] = {}
     keys: dict[str, str] = {}  # by path
-    larger_paths: dict[str, str] = {}  # by key
+    larger_paths: dict[str, str] = {}  # by key: path of the number below which the number must lie
     for path, leaf in leaves:
         dotted_path = keystr(path, simple=True, separator=".")
         if not selects(dotted_path) or not isinstance(leaf, float | UncertainValue):
@@ -86,6 +86,11 @@ def loop_parameters(
 def declared_quantity(params: Any, path: str, units: ChannelUnits) -> Quantity | None:
     """The quantity that the field of a number declares, by the number's dotted path in ``params``.
 
+    Args:
+        params: The loop's parameters.
+        path: The number's path: names of fields and positions in tuples, with dots between them.
+        units: Units of y and u in the channel.
+
     Returns:
         The quantity in the units of a channel; None if the field declares none, as the field of a matrix.
     """
@@ -114,7 +119,12 @@ def numbers_of_draws(study: Study, indices: np.ndarray, constants: Mapping[str, 
 
 
 def parameter_comment(number: int, parameter: Parameter) -> str:
-    """The comment on a parameter in C: its number, unit, meaning, range and the study's value."""
+    """The comment on a parameter in C: its number, unit, meaning, range and the study's value.
+
+    Args:
+        number: Number of the parameter, from 1 on, which the check of the parameters returns.
+        parameter: The parameter.
+    """
     quantity = parameter.quantity
     median = ", median of its law" if parameter.uncertain else ""
     if quantity is None:
@@ -126,7 +136,13 @@ def parameter_comment(number: int, parameter: Parameter) -> str:
 
 
 def assignment_lines(structure: str, parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
-    """Statements in C that assign the study's values to the members of a structure."""
+    """Statements in C that assign the study's values to the members of a structure.
+
+    Args:
+        structure: C's expression of the structure.
+        parameters: The parameters, each of which is a member.
+        real: The dtype of the members.
+    """
     if not parameters:  # C has no empty structures
         return [f"{structure}.unused = 0;"]
     lines = []
@@ -137,7 +153,12 @@ def assignment_lines(structure: str, parameters: tuple[Parameter, ...], real: np
 
 
 def check_lines(parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
-    """Statements in C that return the number, from 1 on, of the first parameter with an inadmissible value."""
+    """Statements in C that return the number, from 1 on, of the first parameter with an inadmissible value.
+
+    Args:
+        parameters: The parameters in the order of their numbers.
+        real: The dtype of the parameters in C.
+    """
     lines: list[str] = []
     for number, parameter in enumerate(parameters, start=1):
         conditions = " && ".join(parameter_conditions(parameter, real))
@@ -148,7 +169,7 @@ def check_lines(parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
 def parameter_conditions(parameter: Parameter, real: np.dtype) -> list[str]:
     """Conditions in C that hold for exactly the admissible values of a parameter; NaN is not admissible.
 
-    Of two parameters in order, the first has the condition.
+    If one parameter must be less than another, the smaller one has this condition.
     """
     member = f"parameters->{parameter.name}"
     conditions = [f"is_finite({member})"]

@@ -20,16 +20,16 @@ class Flag(NamedTuple):
 
 @dataclass(frozen=True)
 class DisturbancePremises:
-    """Premises of a certificate of one axis about y'' = -a_p y' + k_p (G(mu s) u + d).
+    """Premises of a certificate of one axis about the plant y'' = -a_p y' + k_p (G(mu s) u + d).
 
     Args:
         level: Bound of |d|, in the unit of the command.
-        slope: Bound of |d'|, in that unit per second.
+        slope: Bound of |d'|, in the unit of the command per second.
         k_p: Interval of the high-frequency gain.
         a_p: Interval of the damping [1/s].
         mu: Interval of the lag's time constant [s]; (0, 0): there is no lag.
         lag_order: Number of first-order lags 1/(mu s + 1) between command and plant.
-        delay_weights: Weights of the commands of ages 0, 1, ... samples in the mean command behind the delay.
+        delay_weights: Weights with which the commands of 0, 1, ... samples ago enter the mean command after the delay.
     """
 
     level: float
@@ -43,11 +43,11 @@ class DisturbancePremises:
 
 @dataclass(frozen=True)
 class ChannelPremises:
-    """The bounds of one channel, in its units.
+    """The bounds of one channel, in the channel's units.
 
     Args:
         label: Name in C; empty for the only channel.
-        l0: Error pole [1/s].
+        l0: Error pole l_0 of sigma = e' + l_0 e [1/s].
         angle: Whether the output is an angle, whose error is wrapped.
         e: Bound of |e|.
         e_dot: Bound of |e'|; None: the certificate states none.
@@ -155,7 +155,12 @@ class Premises:
 
 
 def rounded_up(value: float, real: np.dtype) -> float:
-    """The smallest number of a dtype that is not below a value."""
+    """The smallest number of a dtype that is not below a value.
+
+    Args:
+        value: The value, in double precision.
+        real: The dtype.
+    """
     nearest = real.type(value)
     if float(nearest) >= value:
         return float(nearest)
@@ -169,7 +174,10 @@ def rounded_outwards(interval: Interval, real: np.dtype) -> Interval:
 
 
 def rounded_channel(channel: ChannelPremises, real: np.dtype) -> ChannelPremises:
-    """The bounds of a channel in another dtype, rounded outwards."""
+    """The bounds of a channel in another dtype, rounded outwards.
+
+    The bounds of the lag stay as they are; l0 is no bound, and stays, too.
+    """
     disturbance = channel.disturbance
     if disturbance is not None:
         disturbance = replace(

@@ -33,8 +33,8 @@ class RecordedDraw(NamedTuple):
     Args:
         channel: Position of the channel.
         parameters: Parameters of its controller.
-        rows: For each sample the signals, the command, the state after it and the telemetry, shape (samples, members of
-            a row).
+        rows: For each sample the signals, the command, the state after the sample and the telemetry, shape (samples,
+            members of a row).
     """
 
     channel: int
@@ -46,6 +46,10 @@ def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], j
     """Make the program that records a draw: ``(numbers by name, draw index) -> a row for each channel``.
 
     Each member of a row is a column of shape (samples,).
+
+    Args:
+        study: The study.
+        samples: Number of samples of a draw.
     """
     has_signals = takes_signals(study)
 
@@ -83,6 +87,12 @@ def recorded_draws(
 ) -> Iterator[RecordedDraw]:
     """Record the first draws of a study in strict arithmetic, all channels of a draw before the next draw.
 
+    Args:
+        study: The study.
+        controllers: The controller of each channel.
+        draws: Number of draws.
+        samples: Number of samples of a draw.
+
     Raises:
         Unsupported: The loop has no strict machine code.
     """
@@ -101,7 +111,12 @@ def row_names(controller: SampledController) -> list[str]:
 
 
 def recording(draws: Iterator[RecordedDraw], precision: int) -> Iterator[bytes]:
-    """The bytes of recorded draws for the bench, little-endian; each begins with its channel and number of samples."""
+    """The bytes of recorded draws for the bench, little-endian; each begins with its channel and number of samples.
+
+    Args:
+        draws: The recorded draws.
+        precision: Bits of a number.
+    """
     real = np.dtype(f"<f{precision // 8}")
     yield MAGIC + bytes([precision]) + bytes(3)  # three zeros, so that words of 4 bytes follow in their places
     for draw in draws:

@@ -141,7 +141,11 @@ def recorded_columns(
 
 
 def draws_of_batch(signature: Signature) -> int:
-    """Number of draws whose columns fill :data:`BATCH_BYTES`, in whole vectors of lanes, but at least one vector."""
+    """Number of draws whose columns fill :data:`BATCH_BYTES`, in whole vectors of lanes, but at least one vector.
+
+    Args:
+        signature: Types and lengths of a lane's outputs, and the number of lanes in a vector.
+    """
     lane_bytes = sum(dtype.itemsize * (length or 1) for dtype, length in signature.outputs)
     vectors = max(1, BATCH_BYTES // (lane_bytes * signature.width))
     return vectors * signature.width

@@ -4,12 +4,12 @@ Over a sample, y'' = -a_p y' + k_p (v + d) gives exactly
 
     mean d = ((y'_k - y'_(k-1)) + a_p (y_k - y_(k-1)))/(k_p T_s) - mean v
 
-where v is the command after delay or lag. Only intervals of k_p, a_p and the lag's time constant are known, hence only
-intervals of v and d. The interval below contains the mean of d for every plant of the certificate. In the settled loop
-v = -u_av + u_n is nearly constant, the interval is narrow, and d = u_av - u_n.
+where v is the command after delay or lag. Only intervals of k_p, a_p and the lag's time constant are known, so that v
+and d are known as intervals, too. The interval of d that is computed here contains the mean of d for every plant of the
+certificate. In the settled loop v = -u_av + u_n is nearly constant, the interval is narrow, and d = u_av - u_n.
 
-Let F be the low-pass F_k = F_(k-1) + w (d_k - F_(k-1)), w = T_s/(tau + T_s). The values of d in F_(k-1) are on average
-tau + T_s older than d_k. So |d'| <= D implies |d_k - F_(k-1)| <= (tau + T_s) D.
+Let F be the low-pass F_k = F_(k-1) + w (d_k - F_(k-1)) with w = T_s/(tau + T_s). The values of d in F_(k-1) are on
+average tau + T_s older than d_k. Therefore |d'| <= D implies |d_k - F_(k-1)| <= (tau + T_s) D.
 """
 
 import math
@@ -42,14 +42,14 @@ class SeenDisturbance(NamedTuple):
     """State of the enclosure between two samples.
 
     Args:
-        y: Output at the last sample.
-        y_dot: Rate of the output at the last sample.
+        y: Output at the last sample at which it was measured.
+        y_dot: Rate of the output at that sample.
         fresh: 1 if y and y' were measured at the last sample, else 0.
         commands: Earlier commands that the delay holds back, latest first.
         lags: Output of each lag.
         acting: Mean of v, the command after delay and lags, over the sample that begins.
         average: The low-pass F of the disturbance.
-        averaging: 1 if ``average`` has a value, else 0.
+        averaging: 1 if ``average`` can be continued, else 0; a missing measurement ends it.
     """
 
     y: Scalar
@@ -70,12 +70,20 @@ class SeenFlags(NamedTuple):
 
 
 def roundings() -> float:
-    """Allowance for the roundings of a formula, relative to the numbers in it."""
+    """Allowance for the roundings of a formula, relative to the numbers in it.
+
+    The allowance is eight rounding errors of the present precision.
+    """
     return 8.0 * float(jnp.finfo(jnp.result_type(float)).eps)
 
 
 def averaging_time(premises: DisturbancePremises, dt: float) -> float:
-    """The time constant tau [s] of the average."""
+    """The time constant tau [s] of the average.
+
+    Args:
+        premises: The bounds, with the largest time constant of the lags.
+        dt: T_s [s].
+    """
     return LAGS_AVERAGED * max(dt, premises.lag_order * premises.mu[1])
 
 
@@ -106,15 +114,15 @@ def see(
 ) -> tuple[SeenDisturbance, SeenFlags]:
     """Enclose the disturbance of the last sample, and compare it with the bounds of the premises.
 
-    Its size is compared if this sample and the last were both measured; its slope also needs an average of earlier
-    samples.
+    The size of the disturbance is compared if y and y' were measured at this sample and at the last one. The slope is
+    compared if, in addition, there is an average of earlier samples. A missing measurement restarts the average.
 
     Args:
         premises: The plant's intervals, and the bounds of the disturbance.
         state: The state before this sample.
         y: Output; any number if it was not measured.
-        y_dot: Rate of the output.
-        measured: Whether both were measured.
+        y_dot: Rate of the output; any number if it was not measured.
+        measured: Whether y and y' were both measured.
         command: The controller's command from this sample on.
         dt: T_s [s].
 
@@ -125,6 +133,7 @@ def see(
     seen = mean_disturbance(premises, state, y, y_dot, dt)
     averaged = resumed & jnp.greater(state.averaging, 0.0)
     weight = dt / (averaging_time(premises, dt) + dt)
+    # dt/weight = tau + T_s; the low-pass adds up roundings over about 1/weight samples
     allowed = dt / weight * premises.slope + roundings() / weight * (jnp.abs(seen.low) + jnp.abs(seen.high))
     rises = jnp.greater(seen.low - state.average.high, allowed)
     falls = jnp.less(seen.high - state.average.low, -allowed)
@@ -156,8 +165,8 @@ def mean_disturbance(
 ) -> EnclosingInterval:
     """The interval of the mean of d since the last sample, for all k_p and a_p within their intervals.
 
-    (A + a_p B)/k_p has its extremes where k_p and a_p are both at an end of their intervals. Arguments as of
-    :func:`see`.
+    With the changes A of y' and B of y per second, mean d = (A + a_p B)/k_p - mean v. The quotient has its extremes
+    where k_p and a_p are both at an end of their intervals. The arguments are those of :func:`see`.
     """
     change = (y_dot - state.y_dot) / dt
     speed = (y - state.y) / dt
@@ -211,7 +220,8 @@ def acting_command(
 def between(held: EnclosingInterval, *parts: tuple[EnclosingInterval, Interval]) -> EnclosingInterval:
     """held + the sum of ratio (x - held) over parts (x, ratio), which rises with held and with every x.
 
-    So the ends of the result follow from the ends of the intervals.
+    The lower end of the result therefore follows from the lower ends of all intervals, and the upper end from the upper
+    ends. Each ratio takes the end of its interval that makes the result wider.
 
     Args:
         held: Interval of the input over the sample.
@@ -230,8 +240,9 @@ def between(held: EnclosingInterval, *parts: tuple[EnclosingInterval, Interval])
 class LagRatios(NamedTuple):
     """Intervals of the factors that describe lags over a sample with constant input v, for h = T_s/mu.
 
-    A lag x' = (v - x)/mu ends at v + decay (x - v), and its mean is v + mean (x - v). A second lag z behind it ends at
-    v + decay (z - v) + passed (x - v), and its mean is v + mean (z - v) + passed_mean (x - v).
+    A lag x' = (v - x)/mu ends the sample at v + decay (x - v), and its mean over the sample is v + mean (x - v). Behind
+    it, a second lag z' = (x - z)/mu ends at v + decay (z - v) + passed (x - v), and its mean is v + mean (z - v) +
+    passed_mean (x - v). On the right, x and z are the outputs at the start of the sample.
     """
 
     decay: Interval  # exp(-h)
@@ -241,7 +252,14 @@ class LagRatios(NamedTuple):
 
 
 def lag_ratios(premises: DisturbancePremises, dt: float) -> LagRatios:
-    """The intervals of the ratios; the first two fall with h, the others rise to a single peak."""
+    """The intervals of the ratios; the first two fall with h, the others rise to a single peak.
+
+    If the peak lies within the interval of h, it is the upper end of the ratio's interval.
+
+    Args:
+        premises: The interval of the lag's time constant mu.
+        dt: T_s [s].
+    """
     ends = (dt / premises.mu[1], dt / premises.mu[0])
     decay = tuple(math.exp(-h) for h in ends)
     mean = tuple(-math.expm1(-h) / h for h in ends)

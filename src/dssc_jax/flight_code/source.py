@@ -32,13 +32,15 @@ COMPUTED = [f"computed.{member}" for member in COMMAND]
 
 
 class FunctionText(CText):
-    """The text in C of one function of a controller; ``text`` is empty until the function is complete.
+    """The text in C of one function of a controller.
+
+    The statements of the body are collected first. ``text``, the whole function, is empty until it is complete.
 
     Args:
         code: The controllers of the study.
         controller: The controller.
         traced: The traced function.
-        inputs: C's expressions of the inputs between parameters and signals.
+        inputs: C's expressions of the function's inputs that come after the parameters and before the signals.
     """
 
     def __init__(
@@ -46,6 +48,7 @@ class FunctionText(CText):
     ) -> None:
         """Begin without statements; the sample time is written as T_s, unless other constants may equal it."""
         sample_time = code.study.loop.sample_time
+        # a constant 0.5 in the program may be a factor of a formula and not T_s
         is_common_number = sample_time in (0.5, 1.0, 2.0)
         constants = {} if is_common_number else {float(controller.real.type(sample_time)): "T_s"}
         parameters = [f"p->{parameter.name}" for parameter in controller.parameters]
@@ -55,7 +58,12 @@ class FunctionText(CText):
         self.text = ""
 
     def assign(self, members: Sequence[str], outputs: Sequence[Value]) -> None:
-        """Write assignments of outputs to members of a structure."""
+        """Write assignments of outputs to members of a structure.
+
+        Args:
+            members: C's expressions of the members.
+            outputs: The output for each member.
+        """
         for member, output in zip(members, outputs, strict=True):
             self.line(f"{member} = {self.read(output)};")
 
@@ -69,7 +77,10 @@ class FunctionText(CText):
 
 
 def source_text(code: FlightCode) -> str:
-    """The source file with the functions of all channels."""
+    """The source file with the functions of all channels.
+
+    Definitions that several functions need, such as tables and helpers, are written once, before all functions.
+    """
     functions: list[str] = []
     helpers: dict[str, None] = {}  # a dictionary keeps the order, and each definition once
     tables: dict[str, None] = {}
@@ -130,7 +141,11 @@ def parameter_pointer(controller: SampledController, function: FunctionText) -> 
 
 
 def start_function(code: FlightCode, controller: SampledController) -> FunctionText:
-    """The function in C that computes the state before the first step."""
+    """The function in C that computes the state before the first step.
+
+    Its arguments are parameters, measurement and reference; an argument that the function does not read is cast to
+    void.
+    """
     function = FunctionText(code, controller, controller.start)
     function.compute(function.outputs)
     function.assign([f"state->{state}" for state in controller.states], function.outputs)
@@ -140,7 +155,12 @@ def start_function(code: FlightCode, controller: SampledController) -> FunctionT
 
 
 def valid_signals(code: FlightCode, controller: SampledController) -> str:
-    """The condition in C that all signals are finite, and angles not so large that a turn is below their resolution."""
+    """The condition in C that all signals are finite, and angles not so large that a turn is below their resolution.
+
+    Args:
+        code: The controllers of the study.
+        controller: The controller.
+    """
     conditions = [finite_condition(controller.signals)]
     if is_angle(code.study, controller):
         limit = c_literal(controller.real.type(LARGEST_ANGLE), controller.real)
@@ -153,6 +173,10 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
     """The function in C for one sample.
 
     It computes telemetry only if the caller asks for it, and stores no result unless all are finite.
+
+    Args:
+        code: The controllers of the study.
+        controller: The controller.
     """
     name = controller.prefix
     function = FunctionText(code, controller, controller.step, [f"before.{state}" for state in controller.states])
@@ -197,6 +221,11 @@ def transfer_function(code: FlightCode, controller: SampledController, traced: T
     """The function in C for a bumpless start: it sets the state with which the first step gives a wanted command.
 
     It computes that step, too, and returns the flag 4 if the step gives another command.
+
+    Args:
+        code: The controllers of the study.
+        controller: The controller.
+        traced: The traced transfer.
     """
     function = FunctionText(code, controller, traced, ["command"])
     updated_members = [f"updated.{state}" for state in controller.states]

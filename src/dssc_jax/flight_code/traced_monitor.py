@@ -22,10 +22,10 @@ class TracedMonitor:
     """A traced monitor.
 
     Args:
-        premises: The bounds that it watches, rounded outwards to the dtype of its numbers.
-        prefix: Prefix of its functions and types in C.
-        inputs: Names of the sample's numbers in C.
-        memories: Names of the state's floating-point numbers in C, in the order of its leaves.
+        premises: The bounds that the monitor watches, rounded outwards to the dtype of its numbers.
+        prefix: Prefix of the monitor's functions and types in C.
+        inputs: Names in C of the sample's numbers.
+        memories: Names in C of the state's floating-point numbers, in the order of the state's leaves.
         step: ``(state, sample) -> (next state, flags of the sample)``.
         precision: Bits of a number.
     """
@@ -44,7 +44,12 @@ class TracedMonitor:
 
 
 def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
-    """Trace the monitor of a study's flight, with bounds that are rounded outwards to the code's numbers."""
+    """Trace the monitor of a study's flight, with bounds that are rounded outwards to the code's numbers.
+
+    Args:
+        code: The controllers of the study, which give the monitor its precision and the prefix of its names.
+        premises: The premises of the study's certificate.
+    """
     rounded_premises = premises.rounded(np.dtype(f"float{code.precision}"))
 
     # Generated C would repeat a docstring of this function; TracedMonitor tells what it computes.
@@ -74,7 +79,11 @@ def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
 
 
 def typed(state: MonitorState) -> MonitorState:
-    """The state with arrays in place of plain numbers: integers stay integers, others get the present precision."""
+    """The state with arrays in place of plain numbers: integers stay integers, others get the present precision.
+
+    Args:
+        state: The state, whose leaves may be numbers of Python.
+    """
 
     def array(leaf: Scalar) -> jax.Array:
         value = jnp.asarray(leaf)

@@ -222,7 +222,8 @@ def candidate_scores(
 def slack_or_metric(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
     """The quantity that a tuning maximises in each lane: the worst slack of the study's requirements.
 
-    Without requirements it is minus the first metric; a draw that lacks the metric gets minus infinity.
+    Without requirements it is the first metric if large values of it are good, else minus that metric. A draw that
+    lacks the metric gets minus infinity.
 
     Args:
         study: The study, for its requirements and metrics.
@@ -230,8 +231,10 @@ def slack_or_metric(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarr
     """
     if study.requirements or not study.measures:
         return worst_slack(study.requirements, results)
-    values = results[study.measures[0].name]
-    return np.where(np.isnan(values), -np.inf, -values)
+    measure = study.measures[0]
+    values = results[measure.name]
+    is_large_good = measure.metric.worst < 0.0
+    return np.where(np.isnan(values), -np.inf, values if is_large_good else -values)
 
 
 def candidate_points(

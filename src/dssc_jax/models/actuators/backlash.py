@@ -1,7 +1,7 @@
 """Backlash (play) in series with the plant input, as of a gear: the output moves when the gap is used up.
 
-The play is solved implicitly: after a monotone change of the command, the output equals the play's in continuous
-time, whatever the step, and it cannot chatter.
+Each step solves the play implicitly. After a monotone change of the command, the output therefore equals that of the
+play in continuous time, whatever the step, and it cannot chatter.
 
 In units, u stands for the unit of the command.
 
@@ -21,29 +21,32 @@ from dssc_jax.core.smoothness import SMOOTH, not_smooth
 
 
 class BacklashParams(NamedTuple):
-    """The gap of a backlash; a half-width of 0 makes it an ideal actuator."""
+    """The gap of a backlash; with a half-width of 0 the actuator is ideal."""
 
     half_width: Annotated[Scalar, Quantity("u", "half of the gap", at_least=0.0)]
 
 
 def step(params: BacklashParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> tuple[Scalar]:
-    """The output [u] after the command has moved: an edge of the gap pushes it along, or it stays.
+    """The output [u] after the command has moved: an edge of the gap pushes the output along, or the output stays.
 
-    The state is the output alone. The result holds whatever the time ``dt`` of the move.
+    The state is the output alone. The result does not depend on the duration ``dt`` of the move.
     """
     (output,) = state
     return (clip(output, command - params.half_width, command + params.half_width),)
 
 
 def sample(params: BacklashParams, state: tuple[Scalar], command: Scalar, key: jax.Array, dt: Scalar) -> tuple[Scalar]:
-    """The output [u] just after a new command, which moves it at once; nothing in it is random."""
+    """The output [u] just after a new command, which moves the output at once.
+
+    ``key`` is not used, because nothing is random; ``dt`` is not used, because the move takes no time.
+    """
     return step(params, state, command, dt)
 
 
 def unit_gain(params: BacklashParams) -> tuple[Unmodelled, BacklashParams]:
     """The part that is linearised in place of the backlash: a gain of 1, with the same parameters.
 
-    It stands for the play where signals are large compared with the gap.
+    The gain 1 stands for a backlash whose signals are large compared with the gap.
     """
     return UNIT_GAIN, params
 

@@ -13,7 +13,7 @@ from dssc_jax.core.smoothness import not_smooth
 
 
 class DeadZoneParams(NamedTuple):
-    """The half-width of a dead zone; 0 makes it an ideal actuator."""
+    """The half-width of a dead zone; with 0 the actuator is ideal."""
 
     half_width: Annotated[Scalar, Quantity("u", "largest command that has no effect", at_least=0.0)]
 

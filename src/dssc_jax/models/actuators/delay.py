@@ -14,7 +14,7 @@ from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.smoothness import SMOOTH
 
-MOST_SAMPLES = 200  # samples: the state holds a scalar for each, and every scalar is copied at every sample
+MOST_SAMPLES = 200  # the state holds one scalar for each sample of delay, and copies all of them at every sample
 
 
 class DelayParams(NamedTuple):
@@ -68,14 +68,18 @@ def sample(params: DelayParams, state: DelayState, command: Scalar, key: jax.Arr
     """The memory after a new command, with the delayed command that the plant gets until the next one.
 
     A delay of n + f samples, n whole and 0 <= f < 1, switches within the sample from the command of n + 1 samples ago
-    to the command of n samples ago. The plant gets the mean of these two, with the weights f and 1 - f.
+    to the command of n samples ago. The plant gets the mean of these two, with the weights f and 1 - f. ``key`` and
+    ``dt`` are arguments of every actuator; a delay does not use them.
     """
     commands = (command, *state.commands[:-1])  # the oldest command leaves the memory
     return DelayState(commands, dot(delay_weights(params.samples, len(commands)), commands))
 
 
 def has_fraction(params: DelayParams) -> bool:
-    """Whether the delay may include a part of a sample, so that the plant's input is a mean over the sample."""
+    """Whether the delay may include a part of a sample, so that the plant's input is a mean over the sample.
+
+    A delay with a law counts as one that may, because its values are not all whole.
+    """
     shortest, longest = extent(params.samples)
     return shortest != longest or not shortest.is_integer()
 

@@ -32,6 +32,10 @@ def system(params: LagParams, order: Order) -> LinearSystem:
     """The lag as a linear system: mu z1' = u - z1, mu z2' = z1 - z2, ...; its output is the last state.
 
     A mu below ``FASTEST`` counts as ``FASTEST``, so that the rate 1/mu stays finite.
+
+    Args:
+        params: The time constant mu.
+        order: Number of first-order lags in series.
     """
     rate = 1.0 / at_least(params.mu, FASTEST)
     zeros = (0.0,) * (order - 1)

@@ -26,7 +26,8 @@ def sample(
 ) -> tuple[Scalar]:
     """The plant input [u] until the next sample: the command if it arrives, else the last command that arrived.
 
-    It is 0 until the first command has arrived. The state is this input alone.
+    The plant input is 0 until the first command has arrived. The state is the plant input alone. ``key`` decides at
+    random whether the command arrives; ``dt`` is not used.
     """
     if is_zero(params.probability):
         return (command,)
@@ -36,7 +37,7 @@ def sample(
 
 
 def smoothness(params: LostCommandParams) -> Smoothness:
-    """Where losses have a derivative: everywhere if no command can be lost, else nowhere."""
+    """Declare where the actuator has a derivative: everywhere if no command can be lost, else nowhere."""
     _, largest_probability = extent(params.probability)
     if largest_probability > 0.0:
         return not_smooth("loses commands at random, so that no derivative holds from sample to sample; leave it out")

@@ -1,7 +1,8 @@
 """Any proper rational transfer function of s in series with the plant input, with coefficients that may be uncertain.
 
-With s' = unit s and z = (v, s' v, ..., s'^(n-1) v), v = u/denominator, in controllable canonical form. The unit is the
-geometric mean of the time constants at the medians of the coefficients, which keeps the states of one size.
+The states are z = (v, s' v, ..., s'^(n-1) v) with v = u/denominator and s' = unit s: the controllable canonical form.
+The unit of time is the geometric mean of the poles' time constants at the medians of the coefficients. It gives all
+states about the same size.
 """
 
 from typing import Annotated, NamedTuple
@@ -22,9 +23,9 @@ class RationalActuatorParams(NamedTuple):
     """The coefficients of the transfer function G(s) from the command to the plant's input.
 
     Args:
-        numerator: Coefficients, highest power first.
-        denominator: Coefficients, highest power first.
-        unit: Unit of time of the states [s], which :func:`prepare` computes.
+        numerator: Coefficients, highest power of s first.
+        denominator: Coefficients, highest power of s first.
+        unit: Unit of time in which the states are kept [s]; :func:`prepare` computes it.
     """
 
     numerator: Annotated[tuple[Scalar, ...], NUMERATOR]
@@ -33,7 +34,11 @@ class RationalActuatorParams(NamedTuple):
 
 
 def prepare(params: RationalActuatorParams) -> RationalActuatorParams:
-    """Require that G is proper for every value of its coefficients, and set the unit of time; raises ConfigError."""
+    """The parameters with their unit of time, if G is proper for every value of its coefficients.
+
+    Raises:
+        ConfigError: A number of coefficients is not admissible, or the denominator's first coefficient can be 0.
+    """
     order = len(params.denominator) - 1
     if not 0 <= order <= MOST_ORDER:
         raise ConfigError("denominator", f"must have 1 to {MOST_ORDER + 1} coefficients, got {order + 1}")
@@ -61,7 +66,7 @@ def time_unit(denominator: list[float]) -> float:
     leading, *lower = denominator
     for place in reversed(range(len(lower))):
         if lower[place] != 0.0:
-            poles = place + 1  # that are not 0
+            poles = place + 1  # number of poles that are not at 0
             return max(abs(leading / lower[place]) ** (1.0 / poles), FASTEST)
     return 1.0
 
@@ -74,14 +79,15 @@ def init(params: RationalActuatorParams) -> tuple[Scalar, ...]:
 def system(params: RationalActuatorParams) -> LinearSystem:
     """G as a linear system in controllable canonical form, whose states have the unit of time of the parameters.
 
-    The denominator is made monic. Its coefficients are then the last row of A; the output row is what remains of the
-    numerator when the direct feedthrough times the denominator is taken off.
+    All coefficients are divided by the denominator's leading one. The denominator's others, with the sign changed, are
+    the last row of A times the unit. The output row has the coefficients of the numerator minus the direct feedthrough
+    times the denominator.
     """
     order = len(params.denominator) - 1
     leading = params.denominator[0]
 
     def rising(coefficients: tuple[Scalar, ...]) -> list[Scalar]:
-        """Coefficients in rising powers of s' = unit s, over the denominator's leading one."""
+        """Coefficients in rising powers of s' = unit s, divided by the denominator's leading coefficient there."""
         scaled: list[Scalar] = [0.0] * (order + 1)
         for power, coefficient in enumerate(reversed(coefficients)):
             scaled[power] = 0.0 if is_zero(coefficient) else coefficient / leading * params.unit ** (order - power)

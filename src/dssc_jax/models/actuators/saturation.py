@@ -16,7 +16,10 @@ from dssc_jax.core.smoothness import piecewise
 
 
 class SaturationParams(NamedTuple):
-    """Limits of the plant input: [low, limit], or [-limit, limit] without ``low``; infinite for an ideal actuator."""
+    """Limits of the plant input: [low, limit], or [-limit, limit] without ``low``.
+
+    With infinite limits the actuator is ideal.
+    """
 
     limit: Annotated[Scalar, Quantity("u", "largest plant input", above=0.0)]
     low: Annotated[Scalar | None, Quantity("u", "smallest plant input; absent: -limit", less_than="limit")] = None
@@ -31,7 +34,8 @@ def limited_command(params: SaturationParams, command: Scalar) -> Scalar:
 def without_limit(params: SaturationParams) -> tuple[Unmodelled, SaturationParams]:
     """The part that is linearised in place of the saturation: infinite limits, which make a gain of 1.
 
-    It stands for commands within the limits.
+    It stands for the actuator under commands within the limits. A missing ``low`` stays missing, because it stands for
+    -limit.
     """
     return SATURATION, SaturationParams(jnp.inf, None if params.low is None else -jnp.inf)
 

@@ -1,8 +1,8 @@
 """Any stable proper transfer function G(mu s) with G(0) = 1 in series with the plant input (Section V-A2).
 
 The command is constant between samples, so G is advanced by its exact solution. A small mu therefore does not limit the
-step, and poles may be complex, repeated or far apart. With s' = mu s and z = (v, s' v, ..., s'^(n-1) v), v =
-u/denominator,
+step, and poles may be complex, repeated or far apart. The states are z = (v, s' v, ..., s'^(n-1) v) with s' = mu s and
+v = u/denominator. They obey
 
     mu z' = A z + B u,  y = C z + D u,    z(t + h) = z_oo + exp(A h/mu) (z(t) - z_oo),  z_oo = (u, 0, ..., 0)/a_0.
 """
@@ -21,7 +21,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.zero_dynamics import companion
 
 MOST_ORDER = 6
-SLOWEST = 1e-6  # slowest decay, relative to the poles' geometric mean, that can be told from none
+SLOWEST = 1e-6  # a slower decay, relative to the poles' geometric mean, cannot be told from no decay
 Matrix = tuple[tuple[float, ...], ...]
 NUMERATOR = Quantity("1", "numerator of G, rising powers of mu s", law=False)
 DENOMINATOR = Quantity("1", "denominator of G, rising powers of mu s", law=False)
@@ -68,7 +68,11 @@ def scale_time(denominator: Sequence[float]) -> tuple[float, np.ndarray]:
 def slowest_decay(denominator: Sequence[float]) -> float:
     """Decay rate of the slowest pole over the geometric mean of all poles' sizes; negative if a pole is unstable.
 
-    It is NaN if a coefficient is not finite in the unit of time of :func:`scale_time`, in which that mean is 1.
+    The coefficients are taken in the unit of time of :func:`scale_time`, in which that mean is 1. The result is NaN if
+    one of them is not finite there.
+
+    Args:
+        denominator: Coefficients in rising powers of mu s.
     """
     with np.errstate(all="ignore"):
         _, coefficients = scale_time(denominator)
@@ -84,10 +88,14 @@ def as_rows(matrix: np.ndarray) -> Matrix:
 
 
 def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Realisation:
-    """The controllable canonical form of G(mu s), from its coefficients in rising powers of mu s.
+    """The controllable canonical form of G(mu s).
 
-    In the unit of time of :func:`scale_time` the denominator is monic, so that the direct feedthrough is
-    the last coefficient of the numerator.
+    In the unit of time of :func:`scale_time` the denominator is monic, so that the direct feedthrough is the last
+    coefficient of the numerator.
+
+    Args:
+        numerator: Coefficients in rising powers of mu s.
+        denominator: Coefficients in rising powers of mu s.
     """
     unit, scaled_denominator = scale_time(denominator)
     # the numerator over the denominator's first coefficient, in rising powers of s' = unit mu s
@@ -100,14 +108,15 @@ def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Rea
 
 
 def shown(coefficients: Sequence[float]) -> list[float]:
-    """Coefficients with six digits, for messages."""
+    """The coefficients rounded to six digits, for messages."""
     return [float(f"{value:g}") for value in coefficients]
 
 
 def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
-    """Require that G is proper, of order 1 to 6 and stable, that G(0) = 1, and that no pole is slower than ``SLOWEST``.
+    """The parameters themselves, if they are admissible.
 
-    The numerator must also be finite in the unit of time of :func:`scale_time`.
+    G must be proper, of order 1 to 6 and stable, with G(0) = 1. No pole may be slower than ``SLOWEST``. The numerator
+    must also be finite in the unit of time of :func:`scale_time`.
 
     Raises:
         ConfigError: A condition does not hold.

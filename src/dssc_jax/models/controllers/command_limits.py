@@ -17,7 +17,13 @@ HIGH = Quantity("u", "upper limit of the command")
 
 
 def within_limits(v: Scalar, low: Scalar | None, high: Scalar | None) -> Scalar:
-    """The command within its limits [u]; None: no limit on this side."""
+    """The command within its limits [u]; None: no limit on this side.
+
+    Args:
+        v: The command before its limits [u].
+        low: Lower limit [u], or None.
+        high: Upper limit [u], or None.
+    """
     v = v if low is None else jnp.maximum(v, low)
     return v if high is None else jnp.minimum(v, high)
 

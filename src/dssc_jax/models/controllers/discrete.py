@@ -84,13 +84,19 @@ class DiscreteInfo(NamedTuple):
 
 
 def padded_numerator(gains: FractionGains) -> Row:
-    """The numerator's coefficients with leading zeros, so that they are as many as the denominator's."""
+    """The numerator's coefficients with leading zeros, so that they are as many as the denominator's.
+
+    Both lists begin with the highest power of z, so that equal places then belong to equal powers.
+    """
     leading_zeros = (0.0,) * (len(gains.denominator) - len(gains.numerator))
     return (*leading_zeros, *gains.numerator)
 
 
 def fraction_init(gains: FractionGains, measurement: Measurement, reference: ReferencePoint) -> DiscreteState:
-    """The controller at rest: earlier errors and commands are zero."""
+    """The controller at rest: earlier errors and commands are zero.
+
+    The controller does not use the first measurement and reference.
+    """
     return DiscreteState((0.0,) * (len(gains.denominator) - 1))
 
 
@@ -99,8 +105,9 @@ def fraction_step(
 ) -> tuple[DiscreteState, Command, DiscreteInfo]:
     """One sample of the transposed direct form II.
 
-    With the coefficients b_i and a_i of numerator and denominator, highest power of z first, the error e and the state
-    x it is v = (b_0 e + x_1)/a_0 and x_i+ = b_i e - a_i u + x_(i+1), where u is v within its limits.
+    Let b_i and a_i be the coefficients of numerator and denominator, highest power of z first, e = y_m - y the error
+    and x the state. Then v = (b_0 e + x_1)/a_0 is the command before its limits, u is v within its limits, and
+    x_i+ = b_i e - a_i u + x_(i+1). ``dt`` is not used, because the coefficients belong to one T_s.
     """
     error = reference.y - measurement.y
     leading, *lower = gains.denominator
@@ -115,7 +122,11 @@ def fraction_step(
 
 
 def prepare_fraction(gains: FractionGains) -> FractionGains:
-    """Require a proper transfer function; raises ConfigError."""
+    """Require a proper transfer function; raises ConfigError.
+
+    The denominator must not be longer than ``MOST_STATES`` + 1 coefficients, and its first one must not be 0 for any
+    value of its law.
+    """
     if not 1 <= len(gains.denominator) <= MOST_STATES + 1:
         rule = f"must have 1 to {MOST_STATES + 1} coefficients, got {len(gains.denominator)}"
         raise ConfigError("denominator", rule)
@@ -129,7 +140,10 @@ def prepare_fraction(gains: FractionGains) -> FractionGains:
 
 
 def matrix_init(gains: MatrixGains, measurement: Measurement, reference: ReferencePoint) -> DiscreteState:
-    """The controller at rest: its state is zero."""
+    """The controller at rest: its state is zero.
+
+    The controller does not use the first measurement and reference.
+    """
     return DiscreteState((0.0,) * len(gains.a))
 
 
@@ -139,7 +153,7 @@ def matrix_step(
     """One sample.
 
     The command is u = C x + D w within its limits, and the next state is A x + B w. Here w is y_m - y and then the
-    measured signals; a D of one number takes none of them.
+    measured signals; a D of one number takes none of them. ``dt`` is not used, because the matrices belong to one T_s.
     """
     signals = (reference.y - measurement.y, *measurement.signals[: len(gains.d) - 1])
     v = dot((*gains.c, *gains.d), (*state.x, *signals))
@@ -151,7 +165,13 @@ def matrix_step(
 
 
 def require_rows(name: str, rows: Rows, shape: tuple[int, int]) -> None:
-    """Require that the matrix in the field ``name`` has a number of rows and of columns; raises ConfigError."""
+    """Require that the matrix in the field ``name`` has a number of rows and of columns; raises ConfigError.
+
+    Args:
+        name: Name of the field, for the message.
+        rows: The matrix, row by row.
+        shape: Required numbers of rows and of columns.
+    """
     row_count, column_count = shape
     if len(rows) != row_count:
         raise ConfigError(name, f"must have {row_count} rows, one for each state, got {len(rows)}")
@@ -175,7 +195,12 @@ def prepare_matrix(gains: MatrixGains) -> MatrixGains:
 
 
 def require_sample_time(gains: G, setting: LoopSetting) -> G:
-    """The gains themselves, whose stated T_s must be the loop's; None: they state none. Raises ConfigError."""
+    """The gains themselves, whose stated T_s must be the loop's; None: they state none. Raises ConfigError.
+
+    Args:
+        gains: Coefficients or matrices, with the T_s for which they were designed [s].
+        setting: The loop, with its T_s.
+    """
     if gains.sample_time is None:
         return gains
     design_time = float(gains.sample_time)

@@ -138,7 +138,10 @@ def explicit_smoothness(gains: DsscGains) -> Smoothness:
 
 
 def synthesised_gains(gains: DsscGains) -> tuple[Scalar, Scalar]:
-    """K_P = 1/(k_o tau_av) [u s/y] and K_I = K_P/tau_m [u/y] of the law that (22) synthesises near 0."""
+    """K_P = 1/(k_o tau_av) [u s/y] and K_I = K_P/tau_m [u/y] of the law that (22) synthesises near 0.
+
+    Near 0 means at sigma = 0 and e = 0, where the state-dependent functions are evaluated.
+    """
     at = gains.functions.at(0.0, 0.0, gains.l0)
     proportional = 1.0 / (at.k_o * at.tau_av)
     return proportional, proportional / at.tau_m
@@ -150,7 +153,10 @@ def tunable_functions(gains: DsscGains) -> tuple[str, ...]:
 
 
 def constant_gains(gains: DsscGains) -> TomlTable:
-    """The table of an SSC that corresponds to DSSC: its constants are the values of DSSC's functions at the origin."""
+    """The table of an SSC that corresponds to DSSC: its constants are the values of DSSC's functions at the origin.
+
+    The origin is sigma = 0 and e = 0. A law of l_0 counts with its median.
+    """
     at = gains.functions.at(0.0, 0.0, nominal(gains.l0))
     constants = {"kind": "constant", **{name: float(value) for name, value in at._asdict().items()}}
     return {"functions": constants, "rho": switching_gain(gains), "predictor_start": gains.predictor_start.value}
@@ -182,10 +188,11 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
         error, at, ratios, rho = sample
         earlier = state.earlier
         if gains.predictor_start == PredictorStart.MIDPOINT:
-            # a step takes a state that is one sample old; at the first sample it is half a sample old (earlier = 0.5)
+            # The form's update decays a state that is one sample old. At the first sample the state is half a sample
+            # old (earlier = 0.5), so the decay of the other half is undone in advance.
             undecayed = state.predictor * (1.0 + earlier * dt * form.rate(gains, sample))
             state = state._replace(predictor=undecayed)
-            earlier = 0.0 * earlier  # a time loop of a kernel cannot carry a plain number
+            earlier = 0.0 * earlier  # 0, but computed: the time loop of a kernel cannot carry a plain number
         after = form.update(gains, state, sample, dt)
         info = DsscInfo(
             sigma_tilde=error.sigma - after.sigma_hat,
@@ -205,7 +212,8 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
     ) -> DsscState:
         """u_av is what the command lacks of the nominal control, and the predictor's state keeps it in sliding.
 
-        The first step from the returned state gives the command.
+        Because u = -u_av + u_n, u_av is the nominal control minus the command. The first step from the returned state
+        gives the command, for a bumpless start.
         """
         state = init(gains, measurement, reference)
         _, u_nominal, sample = control_sample(gains, state.modulation, 0.0, measurement, reference, dt)
@@ -229,7 +237,11 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
 
 
 def require_constant_functions(gains: DsscGains) -> DsscGains:
-    """The gains themselves, whose state-dependent functions must be constants, as those of SSC; raises ConfigError."""
+    """The gains themselves, whose state-dependent functions must be constants, as those of SSC; raises ConfigError.
+
+    Args:
+        gains: Gains of an SSC, as its table states them.
+    """
     if not isinstance(gains.functions, Constant):
         raise ConfigError("functions.kind", "ssc has constant functions; for others take kind = 'dssc'")
     return gains

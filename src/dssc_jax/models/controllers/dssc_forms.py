@@ -2,12 +2,12 @@
 
 The conservative form is backward Euler in the coordinate phi_1(sigma_hat) of the predictor. Its sums telescope, so that
 measurement noise causes no drift; it is the default wherever phi_1 has a finite slope. The implicit form is backward
-Euler in sigma_hat. Both have closed-form solutions.
+Euler in sigma_hat. Both forms have closed-form solutions. The explicit form is forward Euler; it chatters at every step
+size and is unstable for T_s > 2 tau_m or T_s > 2 tau_av.
 
-With a = T_s/tau_av, b = T_s/tau_m and c = T_s k_o/((1+a)(1+b)) the set-valued u_0 in rho Sgn(sigma_tilde+) is solved
-exactly by a clip. While the clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthesised law
-(22) in backward-Euler form; explicit Euler chatters at every step size and is unstable for T_s > 2 tau_m or
-T_s > 2 tau_av.
+Let a = T_s/tau_av, b = T_s/tau_m and c = T_s k_o/((1+a)(1+b)). A clip solves the set-valued u_0 in rho
+Sgn(sigma_tilde+) exactly. While the clip is inactive, sigma_hat+ = sigma to rounding, and the command obeys the
+synthesised law (22) in backward-Euler form.
 
 In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
@@ -29,7 +29,7 @@ from dssc_jax.models.controllers.modulation import MODULATIONS, ConstantModulati
 from dssc_jax.models.controllers.nominal import L0, NominalGains
 from dssc_jax.models.controllers.state_functions import StateFunctions
 
-NEWTON_STEPS = 12
+NEWTON_STEPS = 12  # of Newton's method for sigma_hat from phi_1(sigma_hat)
 
 
 @jax.tree_util.register_static
@@ -88,8 +88,8 @@ class DsscState(NamedTuple):
         predictor: sigma_hat [y/s]; in the conservative form, phi_1(sigma_hat) [u].
         sigma: sigma at the sample before [y/s].
         modulation: State of the modulation.
-        earlier: With the start ``midpoint`` 0.5 at the first sample, where ``predictor`` is half a sample old and not
-            one sample, and 0 after it; () with another start.
+        earlier: Share of a sample by which ``predictor`` is younger than one sample: with the start ``midpoint`` 0.5 at
+            the first sample, then 0; () with another start.
     """
 
     u_av: Scalar
@@ -107,7 +107,7 @@ class Sampled(NamedTuple):
         u_av: Averaged control [u].
         predictor: State of the predictor, as in :class:`DsscState`.
         sigma_hat: Predicted sigma [y/s].
-        u_eq: Equivalent control [u], the u_0 with which sigma_hat becomes sigma.
+        u_eq: Equivalent control [u]: the u_0 with which the new sigma_hat equals sigma.
     """
 
     u_0: Scalar
@@ -118,13 +118,13 @@ class Sampled(NamedTuple):
 
 
 class SampleRatios(NamedTuple):
-    """What filter and predictor need of the functions' values and T_s at one sample.
+    """Numbers that filter and predictor need at one sample, computed from the values of the functions and T_s.
 
     Args:
         pole: 1/tau_m [1/s].
         decay: 1/(1 + T_s/tau_m).
-        c: T_s k_o/((1 + T_s/tau_av)(1 + T_s/tau_m)), the decrease of sigma_tilde in a sample by an increase of u_0
-            [y/(s u)].
+        c: T_s k_o/((1 + T_s/tau_av)(1 + T_s/tau_m)) [y/(s u)]. A sample decreases sigma_tilde by c times an increase of
+            u_0.
         inverse_c: 1/c.
         integral_gain: K_I = 1/(k_o tau_av tau_m) of (22) [u/y].
     """
@@ -157,10 +157,10 @@ class SampledForm(NamedTuple):
 
     Args:
         predictor: (gains, error) -> the predictor's state where sigma_hat = sigma.
-        rate: (gains, sample) -> the rate [1/s] at which that state decays.
+        rate: (gains, sample) -> the rate [1/s] at which the predictor's state decays.
         update: (gains, state, sample, T_s) -> filter and predictor after the sample.
-        resting: (gains, u_av+, sample, T_s) -> u_av and the predictor's state before the sample, from which the sample
-            leads to u_av+ and slides.
+        resting: (gains, u_av+, sample, T_s) -> u_av and the predictor's state before the sample. From these the sample
+            leads to the averaged control u_av+, and the loop slides.
     """
 
     predictor: Callable[[DsscGains, TrackingError], Scalar]
@@ -173,7 +173,8 @@ def smoothed_remainder(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> S
     """The remainder of ``free`` after u_0: the solution x of x + c rho x/(|x| + width) = free, in closed form.
 
     x is the sigma_tilde after a sample with a smoothed sign [y/s]: the sample takes away c u_0, where u_0 is rho times
-    the smoothed sign of x. It is smooth for width > 0; for width 0 it equals free - clip(free, -c rho, c rho).
+    the smoothed sign of x. For width > 0, x is a smooth function of ``free``. For width 0 it is
+    free - clip(free, -c rho, c rho).
 
     Args:
         free: The sigma_tilde after the sample with u_0 = 0 [y/s].
@@ -193,7 +194,7 @@ def smoothed_remainder(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> S
 def limit_change(unlimited: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width: Scalar | None) -> Scalar:
     """The change u_0 - u_av, limited so that u_0 is in rho Sgn(sigma_tilde+), sigma_tilde+ = c (unlimited - change).
 
-    The change is clipped instead of u_0, to avoid subtracting numbers of the size of u_av in sliding.
+    The function clips the change and not u_0, because u_0 - u_av would cancel in sliding, where both are nearly equal.
 
     Args:
         unlimited: The change that makes sigma_tilde+ = 0, u_eq - u_av [u].
@@ -283,7 +284,8 @@ def phi_1_and_slope(signals: tuple[State, Scalar, Scalar], sigma: Scalar) -> tup
 def predicted_sigma(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
     """sigma_hat with phi_1(sigma_hat, e) = w; only what is recorded needs it. Newton's method goes up from below.
 
-    Its start is w over the slope at 0, which is below the solution where phi_1 is concave for sigma > 0.
+    The method starts at w divided by the slope of phi_1 at 0. This start is below the solution if phi_1 is concave for
+    sigma > 0. ``w`` is the predictor's state [u], and ``e`` the output error [y].
     """
     size = jnp.abs(w)
     signals = (gains.functions, gains.l0, e)
@@ -294,7 +296,8 @@ def predicted_sigma(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
 def explicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
     """Forward Euler for (15)-(18) with sgn 0 = 0, for comparison.
 
-    The equivalent control u_eq, which is reported only, follows from (20) with the difference of the last two sigma.
+    The equivalent control u_eq is only reported. It follows from (20) with the difference quotient of the last two
+    sigma in place of sigma'.
     """
     sigma = sample.error.sigma
     sigma_hat = state.predictor
@@ -317,7 +320,8 @@ def smoothed_sign(x: Scalar, width: Scalar | None) -> Scalar:
 def resting_sigma_tilde(gains: DsscGains, u_av: Scalar, rho: Scalar) -> Scalar:
     """The sigma_tilde at which u_0 = u_av: 0, or what the smoothed sign needs.
 
-    Where u_av is not within rho, no sigma_tilde gives it, and the result is 0.
+    With a smoothed sign, u_0 = u_av needs sigma_tilde = width u_av/(rho - |u_av|). If |u_av| is not below rho, no
+    sigma_tilde gives u_av, and the result is 0.
     """
     if gains.sign_width is None:
         return 0.0
@@ -327,6 +331,8 @@ def resting_sigma_tilde(gains: DsscGains, u_av: Scalar, rho: Scalar) -> Scalar:
 
 def implicit_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
     """The sigma_hat that decays to sigma - sigma_tilde.
+
+    Arguments are as for :func:`explicit_resting`; ``sample`` has the decay, so that ``dt`` is not used.
 
     Returns:
         u_av [u] and sigma_hat [y/s] before the sample, at whose end u_av is the same and the loop slides.
@@ -351,6 +357,9 @@ def conservative_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, 
 
 def explicit_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
     """Without a width, u_0 = 0 at sigma_tilde = 0, and u_av decays in this sample.
+
+    The averaged control before the sample is therefore larger by the factor 1/(1 - T_s/tau_av). With a width, u_0 and
+    u_av are equal, and u_av stays.
 
     Args:
         gains: Gains of DSSC.
@@ -379,7 +388,7 @@ def sigma_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
 def phi_1_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
     """phi_1(sigma, e).
 
-    It is the predictor's state w [u] of the conservative form where sigma_hat = sigma.
+    This value is the state w [u] of the predictor in the conservative form where sigma_hat = sigma.
     """
     at = gains.functions.at(error.sigma, error.e, gains.l0)
     return gains.functions.law(error.sigma, error.e, at).gain * error.sigma

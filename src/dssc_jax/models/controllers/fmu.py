@@ -88,7 +88,10 @@ class FmuController:
         self.functions = FmuFunctions(ports)
 
     def init(self, gains: Params, measurement: Measurement, reference: ReferencePoint) -> tuple[Scalar, ...]:
-        """The state before an instance of the FMU is started: empty words, which :meth:`begin` replaces."""
+        """The state before an instance of the FMU is started: empty words, which :meth:`begin` replaces.
+
+        The empty words hold the place of the instance's handle; parameters and signals do not enter here.
+        """
         return empty_words()
 
     def begin(self, gains: Params, state: tuple[Scalar, ...], lane: Scalar, steps: int) -> tuple[Scalar, ...]:
@@ -113,7 +116,8 @@ class FmuController:
     ) -> tuple[tuple[Scalar, ...], Command, Info]:
         """One sample: the FMU gets the signals of the sample, makes a step, and its output is the command.
 
-        All of the command is its robust part u; the nominal part u_n is 0.
+        The whole command is the robust part u, and the nominal part u_n is 0. Other outputs of the FMU that the study
+        reports are the info.
         """
         error = reference.y - measurement.y
         signals = SampledSignals(measurement.y, measurement.y_dot, *reference, error)

@@ -1,11 +1,16 @@
 """The state-dependent functions k_o, tau_av, tau_m of (sigma, e): the rows of Table 2, Section V and Table 1.
 
-Each row is a NamedTuple of its constants with two methods. ``at(sigma, e, l0)`` gives the functions. In sliding only
-the product k_o tau_av and tau_m matter (22); rows that define only the product take one of k_o or tau_av, and the other
-follows. ``law(sigma, e, at)`` gives the control law that (22) synthesises, integrated. ``sampled_form`` is the form in
-which DSSC is sampled unless the study says otherwise. ``tunable`` names the two constants that a comparison tunes,
-``finite_slope`` tells whether phi_1 has a finite slope at 0, and ``super_twisting()`` is the STA that the row
-approximates. r = |sigma|^(1/2) throughout.
+Each row is a NamedTuple of its constants, with these methods and attributes:
+
+* ``at(sigma, e, l0)`` gives the values of the functions. In sliding only the product k_o tau_av and tau_m matter (22).
+  A row that defines only the product takes one of k_o and tau_av, and the other follows.
+* ``law(sigma, e, at)`` gives the control law that (22) synthesises, integrated.
+* ``super_twisting()``, if the row has it, gives the STA that the row approximates.
+* ``sampled_form`` is the form in which DSSC is sampled unless the study says otherwise.
+* ``tunable`` names the two constants that a comparison tunes.
+* ``finite_slope`` tells whether phi_1 has a finite slope at 0.
+
+r = |sigma|^(1/2) throughout.
 
 In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
@@ -50,7 +55,10 @@ class Constant(NamedTuple):
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """The constants themselves, in every state (Table 2, row 1)."""
+        """The constants themselves, in every state (Table 2, row 1).
+
+        sigma, e and l0 are arguments of every row; constants do not depend on them.
+        """
         return StateFunctions(self.k_o, self.tau_av, self.tau_m)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
@@ -64,7 +72,8 @@ class Constant(NamedTuple):
 class StandardSta(NamedTuple):
     """The functions that synthesise the standard STA.
 
-    They are stiff, because k_o tau_av and tau_m vanish with sigma; r counts as at least ``ROOT_FLOOR`` there.
+    The loop is stiff with them, because k_o tau_av and tau_m go to 0 with sigma. An r below ``ROOT_FLOOR`` counts as
+    ``ROOT_FLOOR``, so that nothing is divided by 0.
     """
 
     kappa1: Annotated[Scalar, KAPPA_1]
@@ -79,7 +88,10 @@ class StandardSta(NamedTuple):
     smooth = not_smooth(f"with the functions of the standard STA {SWITCHES}")
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r."""
+        """Table 2, row 2: k_o tau_av = 2 r/kappa1 (printed with phi_1 for phi_1'), tau_m = (kappa1/kappa2) r.
+
+        k_o, tau_av and tau_m depend on sigma [y/s] alone, not on e and l0.
+        """
         r = root_abs(sigma, ROOT_FLOOR)
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
 
@@ -98,7 +110,7 @@ class StandardSta(NamedTuple):
 class ApproximateSta1(NamedTuple):
     """The functions of the first approximation of the STA.
 
-    They are smooth also at sigma = 0, where tau_m = 2 delta kappa1/kappa2.
+    These functions are smooth at sigma = 0, too, where tau_m = 2 delta kappa1/kappa2.
     """
 
     kappa1: Annotated[Scalar, KAPPA_1]
@@ -127,12 +139,19 @@ class ApproximateSta1(NamedTuple):
         return SuperTwisting(self.kappa1, self.kappa2, self.delta)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
-        """phi_1 = kappa1 (r - delta ln(1 + r/delta)) sgn sigma."""
+        """phi_1 = kappa1 (r - delta ln(1 + r/delta)) sgn sigma.
+
+        ``root_law`` gives the gain phi_1/sigma and the rate phi_2/phi_1; e is not needed.
+        """
         return root_law(self.kappa1, root_abs(sigma), self.delta, at.tau_m)
 
 
 class ApproximateSta2(NamedTuple):
-    """The functions of the second approximation of the STA: the standard STA's, with r + delta in place of r."""
+    """The functions of the second approximation of the STA.
+
+    They are those of the standard STA with r + delta in place of r, so that k_o tau_av and tau_m stay positive at sigma
+    = 0.
+    """
 
     kappa1: Annotated[Scalar, KAPPA_1]
     kappa2: Annotated[Scalar, KAPPA_2]
@@ -147,7 +166,10 @@ class ApproximateSta2(NamedTuple):
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """Table 2, row 4: k_o tau_av = 2 (r + delta)/kappa1, tau_m = (kappa1/kappa2)(r + delta)."""
+        """Table 2, row 4: k_o tau_av = 2 (r + delta)/kappa1, tau_m = (kappa1/kappa2)(r + delta).
+
+        k_o, tau_av and tau_m depend on sigma [y/s] alone, not on e and l0.
+        """
         r = root_abs(sigma) + self.delta
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
 
@@ -175,7 +197,10 @@ class SquareRoot(NamedTuple):
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """k_o = kappa_o (r + delta_o), tau_m = kappa_m (r + delta_m)."""
+        """k_o = kappa_o (r + delta_o), tau_m = kappa_m (r + delta_m).
+
+        tau_av is constant. k_o and tau_m depend on sigma [y/s] alone, not on e and l0.
+        """
         r = root_abs(sigma)
         return StateFunctions(self.kappa_o * (r + self.delta_o), self.tau_av, self.kappa_m * (r + self.delta_m))
 
@@ -206,7 +231,10 @@ class Field(NamedTuple):
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """tau_av = 2 r/(k_o kappa1) + delta, tau_m = kappa1 r/(2 kappa2) + delta."""
+        """tau_av = 2 r/(k_o kappa1) + delta, tau_m = kappa1 r/(2 kappa2) + delta.
+
+        k_o is constant. tau_av and tau_m depend on sigma [y/s] alone, not on e and l0.
+        """
         r = root_abs(sigma)
         tau_av = 2.0 * r / (self.k_o * self.kappa1) + self.delta
         return StateFunctions(self.k_o, tau_av, self.kappa1 * r / (2.0 * self.kappa2) + self.delta)
@@ -332,9 +360,9 @@ class Vgsta(NamedTuple):
         """The variable-gain STA's own: kappa_1 phi_1 and kappa_2 phi_2 of (26).
 
         The law is kappa_1 phi_1 + integral of kappa_2 phi_2, with phi_1 and phi_2 of (26). Its first term stands for
-        phi_1 of :class:`IntegratedLaw`. tau_m also holds the part of d(kappa_1 phi_1)/dt that comes from e' = sigma -
-        l0 e. It belongs to the first term, so that kappa_2 phi_2 = kappa_2 phi_1' phi_1 is left. ``at`` is not needed
-        here.
+        phi_1 of :class:`IntegratedLaw`, and the rate is kappa_2 phi_2 over the first term. tau_m also contains the part
+        of d(kappa_1 phi_1)/dt that comes from e' = sigma - l0 e. This part belongs to the first term, so the second
+        term is kappa_2 phi_2 = kappa_2 phi_1' phi_1 alone. ``at`` is not needed here.
         """
         gains = self.gains(sigma, e)
         ratio, slope = self.ratio(sigma)

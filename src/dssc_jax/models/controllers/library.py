@@ -1,8 +1,8 @@
 """A controller in C: ``init``, ``reset`` and ``step`` of a shared object, called for each draw and sample.
 
-Its parameters are gains that may have laws. Its memory beside them is the state, as words of the size of its numbers: a
-call gets the words and gives the next ones, so the controller is a pure function like any other. It computes in its own
-precision, whatever the loop's.
+The controller's parameters are gains that may have laws. The rest of its memory is the state, kept as words of the size
+of the controller's numbers. A call gets the words and gives the next ones, so that the controller is a pure function
+like any other. It computes in its own precision, whatever the precision of the loop.
 """
 
 from functools import cache
@@ -53,11 +53,11 @@ class LibraryGains(NamedTuple):
 
 
 class MemoryLayout(NamedTuple):
-    """Places of a controller's numbers in the memory that its functions get: its exchange.
+    """Places of a controller's numbers in the exchange, the memory that the controller's functions get.
 
     Args:
         parameters: The parameters.
-        words: The rest of the controller, in words as large as its numbers: the state.
+        words: The state: all memory of the controller beside the parameters, in words as large as its numbers.
         signals: The signals that a step reads.
         commands: u and u_n, which a step writes.
         flag: The flag that a step returns.
@@ -92,7 +92,12 @@ def memory_layout(controller: NativeController) -> MemoryLayout:
 
 
 def words_after_init(controller: NativeController, layout: MemoryLayout) -> list[Scalar]:
-    """The state that the library's ``init`` leaves, word by word."""
+    """The state that the library's ``init`` leaves, word by word.
+
+    Args:
+        controller: The controller.
+        layout: Places of its numbers.
+    """
     padding = np.zeros(controller.number_size, np.uint8)  # the last word may end after the exchange
     memory = np.append(initial_memory(controller), padding)
     words = []
@@ -132,7 +137,14 @@ class NativeCalls:
     def foreign_function(
         self, name: str, address: int, operands: tuple[MemoryPlace, ...], results: tuple[MemoryPlace, ...]
     ) -> ForeignFunction:
-        """Make one function of the library, whose code is at an address, known to lanes."""
+        """Make one function of the library, whose code is at an address, known to lanes.
+
+        Args:
+            name: Name of the function, such as ``step``.
+            address: Address of its code.
+            operands: Places of the numbers that it reads.
+            results: Places of the numbers that it writes.
+        """
         symbol = provide_function(self.library, self.controller, name, address)
         size = self.controller.exchange_size + self.controller.number_size  # the last word may end after the exchange
         return ForeignFunction(symbol, size, operands, results)
@@ -155,7 +167,10 @@ class NativeCalls:
     def sample(self, *operands: Scalar) -> list[jax.Array]:
         """Compute one sample: return the words of the state, u, u_n, the flag, and then the telemetry.
 
-        Operands are the parameters, the words of the state and the signals.
+        If the library has a step without telemetry, everything but the telemetry comes from that step.
+
+        Args:
+            operands: The parameters, the words of the state and the signals.
 
         Raises:
             ConfigError: The loop's precision lacks the type of the library's numbers.
@@ -174,7 +189,12 @@ class NativeCalls:
 
 @cache
 def controller_of(library: NativeLibrary, name: str) -> Controller:
-    """The model of a library's controller, by the controller's name; the library must have it."""
+    """The model of a library's controller, by the controller's name; the library must have it.
+
+    Args:
+        library: The library.
+        name: Name of the controller.
+    """
     controller = next(candidate for candidate in library.controllers if candidate.name == name)
     calls = NativeCalls(library, controller)
     info = info_type(controller)
@@ -216,7 +236,12 @@ def named_signals(controller: NativeController) -> tuple[NamedSignal, ...]:
 
 
 def gains_type(controller: NativeController, defaults: dict[str, float]) -> Any:
-    """Make the NamedTuple type of the gains: the library's parameters with its defaults, and l0 for the metrics."""
+    """Make the NamedTuple type of the gains: the library's parameters with its defaults, and l0 for the metrics.
+
+    Args:
+        controller: The description of the controller in the library.
+        defaults: Default of each parameter by name.
+    """
     quantities = {number.name: number.quantity for number in controller.parameters}
     return named_type("Gains", {"l0": L0} | quantities, {"l0": 1.0} | defaults)
 

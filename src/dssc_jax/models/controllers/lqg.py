@@ -1,19 +1,19 @@
 """LQG: a steady-state Kalman filter and a linear-quadratic regulator, both of the sampled nominal plant.
 
-With the command held, the plant is x(k+1) = A x(k) + B u(k) + w, and the measured signals are s = C x + D u(k-1) + v,
-because they are taken just before the new command acts. Per sample,
+With the command held, the plant is x(k+1) = A x(k) + B u(k) + w. The measured signals are s = C x + D u(k-1) + v,
+because they are taken just before the new command acts. At each sample,
 
     x^ = x- + L (s - C x- - D u(k-1)),   u = -K x^ - k_i z + N y_m within its limits,
     x-(k+1) = A x^ + B u,                z(k+1) = z + T_s (y - y_m).
 
-About an operating point (y_0, u_0, s_0) other than 0, these are the deviations u - u_0, s - s_0 and y_m - y_0. The
-model is that of the plant if it is linear, or the one that the table ``model`` states, such as a linearisation there.
+About an operating point (y_0, u_0, s_0) other than 0, the deviations u - u_0, s - s_0 and y_m - y_0 stand in these
+formulas. The model is the plant if that is linear, or the table ``model``, such as a linearisation at that point.
 
 K and k_i minimise the sum over the samples of q_y y^2 + sum of q_i x_i^2 + q_z z^2 + r u^2. L is the gain of the filter
-with the least variance for the stated standard deviations of w and v. Both follow from a discrete algebraic Riccati
-equation when the study is built, with the median in place of each law, so that every draw has the controller of the
-nominal plant. N makes the gain from y_m to y at rest equal to 1; if the plant has a zero there, N is 0. While the
-command is at a limit, z does not integrate errors that drive it further.
+with the least variance for the stated standard deviations of w and v. A discrete algebraic Riccati equation gives each
+of them when the study is built, with the median in place of each law, so that every draw has the controller of the
+nominal plant. N makes the gain from y_m to y at rest equal to 1; if the plant has a zero at z = 1, N is 0. While the
+command is at a limit, z does not integrate errors that drive the command further.
 
 In units, y stands for the unit of the plant's output, and u for the unit of its command.
 
@@ -82,8 +82,8 @@ Rows = tuple[Row, ...]
 class LqgModel(NamedTuple):
     """The linear model x' = A x + b u + E w, y = c x, s = C x + D u that a study states for the design.
 
-    It is in continuous time, and its signals are deviations from the operating point. ``signals`` and ``feedthrough``
-    are C and D, and ``disturbances`` the columns of E.
+    The model is in continuous time, and its signals are deviations from the operating point. The field ``signals`` is
+    C, ``feedthrough`` is D, and ``disturbances`` are the columns of E.
     """
 
     a: Annotated[Rows, MODEL_A]
@@ -97,10 +97,11 @@ class LqgModel(NamedTuple):
 class LqgGains(NamedTuple):
     """Weights and standard deviations of the design, and the controller that :func:`fit` computes from them.
 
-    The fields after ``l0`` are computed: the sampled plant's A, B, C, D (``transition``, ``input``, ``signals``,
-    ``feedthrough``), the gains K, L, k_i, N (``feedback``, ``correction``, ``integral_gain``, ``feedforward``), and
-    ``taken``, the number of measured signals, 0 if y alone is measured. ``l0`` defines sigma of the metrics; the
-    controller does not use it.
+    ``l0`` defines sigma of the metrics; the controller does not use it. The fields after ``l0`` are computed:
+
+    * ``transition``, ``input``, ``signals`` and ``feedthrough`` are A, B, C and D of the sampled plant;
+    * ``feedback``, ``correction``, ``integral_gain`` and ``feedforward`` are the gains K, L, k_i and N;
+    * ``taken`` is the number of measured signals, or 0 if y alone is measured.
     """
 
     command_weight: Annotated[Scalar, COMMAND_WEIGHT]
@@ -181,7 +182,7 @@ def correction_matrix(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) ->
         ConfigError: There are too many or too few numbers, or the measured signals do not show a mode of A.
     """
     count = plant.disturbances.shape[1]
-    quiet_inputs = (0.0,) * (count - len(gains.disturbance_std))  # the named inputs that are left out
+    quiet_inputs = (0.0,) * (count - len(gains.disturbance_std))  # no noise at named inputs that the study leaves out
     disturbance_std = np.array(numbers_or_zeros("disturbance_std", (*gains.disturbance_std, *quiet_inputs), count))
     state_variance = np.diag(np.square(numbers_or_zeros("state_std", gains.state_std, len(plant.a))))
     process_covariance = plant.disturbances @ np.diag(disturbance_std**2) @ plant.disturbances.T + state_variance
@@ -192,6 +193,11 @@ def correction_matrix(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) ->
 def numbers_or_zeros(name: str, values: Row, count: int) -> tuple[float, ...]:
     """The values of the field ``name`` as plain numbers, or ``count`` zeros if it has none.
 
+    Args:
+        name: Name of the field, for the message.
+        values: The values; () if the study gives none.
+        count: Required number of values.
+
     Raises:
         ConfigError: The field has values, but not ``count`` of them.
     """
@@ -201,7 +207,13 @@ def numbers_or_zeros(name: str, values: Row, count: int) -> tuple[float, ...]:
 
 
 def require_lengths(name: str, rows: Rows, count: int) -> None:
-    """Require ``count`` numbers in each row of a matrix of the table ``model``; raises ConfigError."""
+    """Require ``count`` numbers in each row of a matrix of the table ``model``; raises ConfigError.
+
+    Args:
+        name: Name of the matrix in the table.
+        rows: The matrix, row by row.
+        count: Required number of columns.
+    """
     for row in rows:
         if len(row) != count:
             raise ConfigError(f"model.{name}", f"must have {count} numbers in a row, got {len(row)}")
@@ -211,6 +223,10 @@ def plant_of_model(model: LqgModel, setting: LoopSetting) -> NominalPlant:
     """The plant of the table ``model``; raises ConfigError if the sizes of its matrices do not fit.
 
     Without columns of disturbances, a disturbance acts as the command does.
+
+    Args:
+        model: The table.
+        setting: What the loop states: its measured signals and the names of the plant's inputs.
     """
     order = len(model.a)
     columns = model.disturbances or (model.b,)
@@ -256,6 +272,10 @@ def require_signal_stds(gains: LqgGains, count: int, measures: tuple[str, ...]) 
 def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
     """The gains with the regulator and the filter of the nominal plant, or of the table ``model`` if there is one.
 
+    Args:
+        gains: Weights and standard deviations of the design.
+        setting: The nominal plant, the sample time and the measured signals of the loop.
+
     Raises:
         ConfigError: There is no linear plant, numbers do not fit its sizes, or a Riccati equation has no solution.
     """
@@ -291,7 +311,10 @@ def plain_rows(matrix: np.ndarray) -> Rows:
 
 
 def init(gains: LqgGains, measurement: Measurement, reference: ReferencePoint) -> LqgState:
-    """The state at the first sample: predicted state, integral and last command are 0."""
+    """The state at the first sample: predicted state, integral and last command are 0.
+
+    The controller does not use the first measurement and reference.
+    """
     return LqgState(predicted=(0.0,) * len(gains.input), integral=0.0, command=0.0)
 
 
@@ -300,9 +323,9 @@ def step(
 ) -> tuple[LqgState, Command, LqgInfo]:
     """One sample: correct, command, predict.
 
-    The measured signals correct the predicted state to an estimate; the command follows from the estimate, the integral
-    and the reference, within its limits; the model predicts the state at the next sample. The integral does not take an
-    error that drives the command further beyond a limit.
+    The measured signals correct the predicted state to an estimate. The command follows from the estimate, the integral
+    and the reference, within its limits. The model then predicts the state at the next sample. The integral does not
+    take an error that drives the command further beyond a limit.
     """
     # signals and the last command as deviations from the operating point
     shown = (difference(measurement.y, gains.resting_output),)
@@ -339,7 +362,8 @@ def transfer(
 ) -> LqgState:
     """The integral that gives a command, with a state that the measurement does not correct; 0 without integral.
 
-    The first step from the returned state gives the command, for a bumpless start.
+    Without an integral gain the integral is 0. With one, the first step from the returned state gives the command, for
+    a bumpless start: the command without integral and limits shows what the integral must add.
     """
     start = init(gains, measurement, reference)
     _, unlimited, _ = step(gains._replace(low=None, high=None), start, measurement, reference, dt)

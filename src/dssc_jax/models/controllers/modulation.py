@@ -53,17 +53,20 @@ class ConstantModulation(NamedTuple):
         return ()
 
     def at(self, state: tuple[()], signals: ModulationSignals, dt: Scalar) -> tuple[tuple[()], Scalar]:
-        """The state and the constant rho [u], whatever the signals."""
+        """The state and the constant rho [u], whatever the signals.
+
+        ``dt`` is not used: a constant needs no observer.
+        """
         return state, self.rho
 
 
 class NormBound(NamedTuple):
-    """The constants of the modulation rho of (33)-(34), a bound of |d_0|/k_o, so that the loop slides.
+    """The constants of the modulation rho of (33)-(34), a bound of |d_0|/k_o with which the loop slides.
 
-    The bound holds up to the initial transient of the norm observer, eta_bar' = -lambda eta_bar + c |y'|, whose state
-    eta_bar bounds the zero dynamics' part |C_eta eta| of d_0. The bound of the disturbance (A0.b) is
-    alpha_d + alpha_y |y| + alpha_y_dot |y'|. ``zero_dynamics`` is the controller's model of (A_eta, C_eta); the
-    observer's rate lambda and gain c follow from it before tracing.
+    The norm observer eta_bar' = -lambda eta_bar + c |y'| bounds |C_eta eta|, the part of d_0 from the zero dynamics, by
+    its state eta_bar, up to an initial transient. The bound of the disturbance (A0.b) is
+    alpha_d + alpha_y |y| + alpha_y_dot |y'|. ``zero_dynamics`` is the controller's model of (A_eta, C_eta). Unless rate
+    lambda and gain c of the observer are given, they follow from this model before tracing.
     """
 
     k_p_max: Annotated[Scalar, Quantity("y/(s^2 u)", "upper bound of k_p", above=0.0)]
@@ -96,7 +99,10 @@ class NormBound(NamedTuple):
         return self._replace(observer_rate=rate, observer_gain=gain)
 
     def init(self) -> Scalar:
-        """The observer's state eta_bar at t = 0 [m/s^2]."""
+        """The observer's state eta_bar at t = 0 [m/s^2].
+
+        Its unit is y/s^2, with the unit y of the plant's output.
+        """
         return self.eta_bar_initial
 
     def at(self, state: Scalar, signals: ModulationSignals, dt: Scalar) -> tuple[Scalar, Scalar]:
@@ -104,8 +110,13 @@ class NormBound(NamedTuple):
 
         Between samples |C_eta eta| may exceed eta_bar by O(T_s), which delta_rho must cover.
 
+        Args:
+            state: eta_bar before the sample [y/s^2].
+            signals: The signals in the bound.
+            dt: T_s [s].
+
         Returns:
-            The next eta_bar, and rho.
+            The next eta_bar [y/s^2], and rho [u].
         """
         assert self.observer_rate is not None  # held by prepare
         assert self.observer_gain is not None

@@ -27,14 +27,14 @@ def nominal_control(
     """u_n of (37) [m/s]; zero without nominal gains.
 
     u_n = -c_e e - c_sigma sigma - c_m1 y_m' - c_m2 y_m'' with c_e = (a_n - l0) l0/k_n,
-    c_sigma = (l0 - a_n + 1/tau_m)/k_n, c_m1 = -a_n/k_n and c_m2 = -1/k_n; the article prints the last two for k_n = 1
+    c_sigma = (l0 - a_n + 1/tau_m)/k_n, c_m1 = -a_n/k_n and c_m2 = -1/k_n. The article prints the last two for k_n = 1
     only. If a_n and k_n are the plant's own, sigma' = k_p u + k_p d - sigma/tau_m is left for u to control. The term
-    1/tau_m is an explicit, held feedback: it needs T_s (1/tau_m + |l0 - a_n|) < 2 for every discretisation of the
-    controller.
+    1/tau_m is a feedback that is held over the sample. Whatever the discretisation of the controller, it needs
+    T_s (1/tau_m + |l0 - a_n|) < 2. The unit of u_n is that of the command [u].
 
     Args:
-        nominal: Nominal gains, or None.
-        l0: Error pole [1/s].
+        nominal: Nominal gains; None: there is no nominal control, and u_n is 0.
+        l0: Error pole l_0 [1/s].
         error: Tracking errors.
         reference: Desired trajectory.
         predictor_pole: 1/tau_m [1/s]; 0 for a controller without a predictor.

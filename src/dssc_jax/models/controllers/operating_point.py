@@ -18,7 +18,12 @@ RESTING_SIGNALS = Quantity("SI", "each measured signal s_0 there; absent: 0")
 
 
 def deviations(signals: Signals, resting: Signals) -> Signals:
-    """The deviations s - s_0 of measured signals from their values at rest; () at rest stands for zeros."""
+    """The deviations s - s_0 of measured signals from their values at rest; () at rest stands for zeros.
+
+    Args:
+        signals: The measured signals s.
+        resting: Their values s_0 at rest; () if all are 0.
+    """
     if not resting:
         return signals
     return tuple(difference(value, at_rest) for value, at_rest in zip(signals, resting, strict=True))

@@ -39,7 +39,10 @@ class PiInfo(NamedTuple):
 
 
 def init(gains: PiGains, measurement: Measurement, reference: ReferencePoint) -> PiState:
-    """The state at the first sample: the integral is 0."""
+    """The state at the first sample: the integral is 0.
+
+    The controller does not use the first measurement and reference.
+    """
     return PiState(0.0)
 
 
@@ -75,7 +78,7 @@ def pi(implicit: bool) -> Controller:
     ) -> PiState:
         """The integral that leaves the command as it is; 0 without integral action.
 
-        The first step from the returned state gives the command, for a bumpless start.
+        With integral action the first step from the returned state gives the command, for a bumpless start.
         """
         error = tracking_error(measurement, reference, gains.l0)
         robust = command - nominal_control(gains.nominal, gains.l0, error, reference, predictor_pole=0.0)

@@ -4,11 +4,11 @@
     I' = k_i (y_m - y) + (u - v)/T_t
     D  = k_d s/(T_f s + 1) (c y_m - y)
 
-D takes the slope of c y_m - y from one sample to the next, with the noise of y. A measured y', or that of a
-differentiator, is not used. For a derivative part on y' there is ``state_feedback``.
+D takes the slope of c y_m - y from one sample to the next, and so amplifies the noise of y. D does not use y', neither
+a measured one nor one from a differentiator. A derivative part on y' is in ``state_feedback``.
 
-Sampled as is usual: the integral by forward Euler, so that I does not depend on the present command, and the derivative
-by backward Euler, which is stable for every T_f >= 0.
+The integral is sampled by forward Euler, so that I does not depend on the present command. The derivative is sampled by
+backward Euler, which is stable for every T_f >= 0.
 
 In units, y stands for the unit of the plant's output, and u for the unit of its command.
 
@@ -40,8 +40,8 @@ DERIVATIVE_GAIN = "derivative gain, on the slope of c y_m - y from sample to sam
 class PidGains(NamedTuple):
     """Gains of the PID controller.
 
-    Without ``tracking``, T_t = k_p/k_i, the integral time. ``l0`` defines sigma of the metrics; the controller does not
-    use it.
+    Without ``tracking``, the time constant T_t of the anti-windup is k_p/k_i, the integral time. ``l0`` defines sigma
+    of the metrics; the controller does not use it.
     """
 
     k_p: Annotated[Scalar, Quantity("u/y", "proportional gain", at_least=0.0)]
@@ -75,7 +75,7 @@ class PidInfo(NamedTuple):
 def init(gains: PidGains, measurement: Measurement, reference: ReferencePoint) -> PidState:
     """No integral, and a derivative at rest.
 
-    So the controller begins as if reference and measurement had been constant before the first sample.
+    The controller therefore begins as if reference and measurement had been constant before the first sample.
     """
     weighted = gains.derivative_weight * reference.y - measurement.y
     return PidState(integral=0.0, derivative=0.0, weighted=weighted)
@@ -87,7 +87,8 @@ def step(
     """One sample of the PID controller.
 
     ``v`` is the command before its limits. ``weighted`` is c y_m - y, whose change since the last sample drives the
-    filtered derivative. The integral takes the error of this sample from the next sample on.
+    filtered derivative. The integral includes the error of this sample from the next sample on. With limits it also
+    includes u - v, the anti-windup.
     """
     proportional = gains.k_p * (gains.proportional_weight * reference.y - measurement.y)
     weighted = gains.derivative_weight * reference.y - measurement.y
@@ -107,7 +108,8 @@ def transfer(
 ) -> PidState:
     """The integral part that leaves the command as it is, with the derivative at rest; 0 without integral action.
 
-    The first step from the returned state gives the command, for a bumpless start.
+    With integral action, and within the limits, the first step from the returned state gives the command, for a
+    bumpless start. ``dt`` is not used, because the integral part of a sample does not include its own error.
     """
     proportional = gains.k_p * (gains.proportional_weight * reference.y - measurement.y)
     integral = jnp.where(gains.k_i > 0.0, command - proportional, 0.0)

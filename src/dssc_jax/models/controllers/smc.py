@@ -30,7 +30,7 @@ class SmcGains(NamedTuple):
 class SmcInfo(NamedTuple):
     """The margin K - |u_eq| [u] of the sliding condition, which holds if the margin is not negative.
 
-    The equivalent control u_eq brings sigma to 0 within one sample.
+    The equivalent control u_eq is the u that brings sigma to 0 within one sample, by the nominal input gain k_n.
     """
 
     sliding_margin: Annotated[Scalar, Quantity("u", "K - |u_eq|")]
@@ -41,12 +41,19 @@ class NoInfo(NamedTuple):
 
 
 def init(gains: SmcGains, measurement: Measurement, reference: ReferencePoint) -> tuple[()]:
-    """The state: none."""
+    """The state: none.
+
+    The controller does not use the first measurement and reference.
+    """
     return ()
 
 
 def relay_balance(gains: SmcGains) -> HarmonicBalance:
-    """The relay's side of the harmonic balance N(A) = q, with its real describing function N = 4 K/(pi A)."""
+    """The relay's side of the harmonic balance N(A) = q, with its real describing function N = 4 K/(pi A).
+
+    ``amplitude`` is the A [y/s] with N(A) = Re q. The describing function is real, so that the imaginary part of q is
+    the residual, which must be 0 at an oscillation.
+    """
     gain = float(gains.gain)
     return HarmonicBalance(
         amplitude=lambda q: 4.0 * gain / (math.pi * q.real),

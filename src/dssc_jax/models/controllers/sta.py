@@ -1,7 +1,8 @@
 """The super-twisting algorithm in its explicit, implicit and proper implicit forms.
 
-u = -kappa1 |sigma|^(1/2) sgn sigma + v, v' = -(kappa2/2) sgn sigma: Table 2's normalisation. With x = sigma,
-h = T_s, k2 = kappa2/2 and the nominal input gain k_n, w = k_n u is computed for x+ = x + h (w + d).
+In the normalisation of Table 2 it is u = -kappa1 |sigma|^(1/2) sgn sigma + v, v' = -(kappa2/2) sgn sigma. The sampled
+forms compute w = k_n u for the model x+ = x + h (w + d), with x = sigma, h = T_s, the disturbance d and the nominal
+input gain k_n. Their gains are k1 = k_n kappa1 and k2 = k_n kappa2/2.
 
 In units, y stands for the unit of the plant's output, and u for the unit of its command.
 
@@ -54,7 +55,7 @@ class StaGains(NamedTuple):
 
 
 class IntegralState(NamedTuple):
-    """The integral term v, in units of w = k_n u [y/s^2]."""
+    """The integral term v of w = k_n u [y/s^2]."""
 
     v: Scalar
 
@@ -88,9 +89,9 @@ def explicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> 
 def implicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
     """Backward Euler, solved exactly: never chatters, |x| = O(h) in sliding.
 
-    Arguments and results are as for :func:`explicit_update`. Without a disturbance the sample leads from x to
-    x+ = b - h k1 |x+|^(1/2) sgn x+ - h^2 k2 xi with b = x + h v and xi in Sgn x+. For |b| <= h^2 k2 the solution is
-    x+ = 0; else s = |x+|^(1/2) solves a quadratic.
+    Arguments and results are as for :func:`explicit_update`. Let b = x + h v, and xi in Sgn x+. Without a disturbance
+    the sample leads from x to x+ = b - h k1 |x+|^(1/2) sgn x+ - h^2 k2 xi. For |b| <= h^2 k2 the solution is x+ = 0;
+    else s = |x+|^(1/2) solves a quadratic.
     """
     b = x + h * v
     sliding = jnp.abs(b) <= h * h * k2
@@ -102,8 +103,8 @@ def implicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> 
 def proper_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
     """The proper implicit form: reaches |x| <= L h^2.
 
-    Arguments and results are as for :func:`explicit_update`; L bounds |d'| of the disturbance. xi in Sgn x is the
-    set-valued sign, and s the root that takes the place of |x|^(1/2).
+    Arguments and results are as for :func:`explicit_update`. L is a bound of |d'|, the slope of the disturbance. In the
+    code ``xi`` is the set-valued sign of x, limited to [-1, 1], and ``s`` is the root in place of |x|^(1/2).
     """
     xi = saturate(x / (h * h * k2), 1.0)
     s = root_of(jnp.abs(x) - h * h * k2, h * k1)
@@ -118,7 +119,8 @@ Carried: TypeAlias = Callable[[Scalar, Scalar, Scalar, Scalar, Scalar], Scalar]
 def explicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
     """The inverse of :func:`explicit_update` in v.
 
-    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    The result is the integral term v [y/s^2] before a sample that gives ``w`` [y/s^2], for a bumpless start. ``x`` and
+    the gains are as in :func:`explicit_update`; k2 and h do not enter the present w.
     """
     return w + k1 * root_abs(x) * sign(x)
 
@@ -126,7 +128,8 @@ def explicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) ->
 def implicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
     """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known.
 
-    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    The result is the integral term v [y/s^2] before a sample that gives ``w`` [y/s^2], for a bumpless start. ``x``, the
+    gains and h are as in :func:`implicit_update`.
     """
     after = x + h * w
     return w + (k1 * root_abs(after) + h * k2) * sign(after)
@@ -135,7 +138,8 @@ def implicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) ->
 def proper_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
     """The inverse of :func:`proper_update` in v.
 
-    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    The result is the integral term v [y/s^2] before a sample that gives ``w`` [y/s^2], for a bumpless start. ``x``, the
+    gains and h are as in :func:`proper_update`.
     """
     xi = saturate(x / (h * h * k2), 1.0)
     s = root_of(jnp.abs(x) - h * h * k2, h * k1)
@@ -146,7 +150,7 @@ def sta_balance(gains: StaGains) -> HarmonicBalance:
     """The STA's side of the harmonic balance N(A, w) = q at the amplitude A of sigma and the frequency w [rad/s].
 
     Its describing function is N = c kappa1 A^(-1/2) + 2 kappa2/(pi A)/(i w), in the normalisation of Table 2, with
-    c = ``ROOT_FACTOR``. The real parts give A, and the imaginary parts the residual.
+    c = ``ROOT_FACTOR``. The real part of the balance gives the amplitude A, and the imaginary part the residual.
     """
     kappa1 = float(gains.kappa1)
     kappa2 = float(gains.kappa2)
@@ -157,7 +161,11 @@ def sta_balance(gains: StaGains) -> HarmonicBalance:
 
 
 def sta_of_dssc(gains: DsscGains) -> dict[str, float]:
-    """The table of the STA that DSSC's state-dependent functions approximate (Table 2, row 2)."""
+    """The table of the STA that DSSC's state-dependent functions approximate (Table 2, row 2).
+
+    Args:
+        gains: Gains of DSSC.
+    """
     twisting = super_twisting(gains.functions)
     return {"kappa1": float(twisting.kappa1), "kappa2": float(twisting.kappa2), "k_n": nominal_input_gain(gains)}
 
@@ -174,8 +182,8 @@ def twisting_controller(gains_type: type, sampled: IntegralUpdate, inverse: Inte
 
     Args:
         gains_type: Type of the gains, with ``l0``, ``k_n``, ``limit`` and ``nominal``.
-        sampled: The sampled form of w and v.
-        inverse: The sampled form, solved for the v before the sample.
+        sampled: The sampled form: (gains, error, v, T_s) -> w and the next v.
+        inverse: The sampled form, solved for the v before the sample: (gains, error, w, T_s) -> v.
     """
 
     def step(

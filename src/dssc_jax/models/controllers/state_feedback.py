@@ -2,9 +2,9 @@
 
     u = u_0 - k_1 (y - y_m) - k_2 (y' - y_m') - k (s - s_0) + f (y_m - y_0) - k_i int (y - y_m) dt.
 
-Without measured signals s the state is (y, y'), what the class (5)-(8) measures; with n = 2 it is the plant's whole
-state. With ``measures = "state"``, s is the whole state of a linear plant of any order. Limits and anti-windup are
-those of the PID controller.
+Without measured signals s the controller feeds back y and y', which the class (5)-(8) measures; for n = 2 this is the
+plant's whole state. With ``measures = "state"``, s is the whole state of a linear plant of any order. The PID
+controller has the same limits and the same anti-windup.
 
 In units, y stands for the unit of the plant's output, and u for the unit of its command.
 
@@ -72,14 +72,18 @@ class FeedbackInfo(NamedTuple):
 
 
 def init(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint) -> FeedbackState:
-    """The state at the first sample: the integral part of the command is 0."""
+    """The state at the first sample: the integral part of the command is 0.
+
+    The controller does not use the first measurement and reference.
+    """
     return FeedbackState(0.0)
 
 
 def proportional_part(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint) -> Scalar:
     """-(u - its integral part): k_1 (y - y_m) + k_2 (y' - y_m') + k (s - s_0) - f (y_m - y_0) - u_0.
 
-    Its terms that are known to be 0 before tracing are left out of the program.
+    The command is its integral part minus this number. A term that is known to be 0 before tracing is left out of the
+    program.
     """
     total = gains.k_1 * (measurement.y - reference.y) + gains.k_2 * (measurement.y_dot - reference.y_dot)
     if gains.signals:
@@ -94,7 +98,8 @@ def step(
 ) -> tuple[FeedbackState, Command, FeedbackInfo]:
     """One sample of the state feedback; the integral takes the error of this sample from the next one on.
 
-    ``v`` is the command before its limits. At a limit u - v moves the integral back, so that it does not wind up.
+    ``v`` is the command before its limits, and ``u`` the command. At a limit the difference u - v moves the integral
+    back, so that the integral does not wind up.
     """
     error = measurement.y - reference.y
     v = state.integral - proportional_part(gains, measurement, reference)
@@ -110,7 +115,8 @@ def transfer(
 ) -> FeedbackState:
     """The integral part that leaves the command as it is; 0 without integral action.
 
-    The first step from the returned state gives the command, for a bumpless start.
+    With integral action, and within the limits, the first step from the returned state gives the command, for a
+    bumpless start. ``dt`` is not used, because the integral part of a sample does not include its own error.
     """
     needed = command + proportional_part(gains, measurement, reference)
     return FeedbackState(jnp.where(gains.k_i > 0.0, needed, 0.0))

@@ -1,4 +1,4 @@
-"""What DSSC's state-dependent functions are: their values, the law that they synthesise, and what their rows share.
+"""State-dependent functions of DSSC: their values, the law that they synthesise, and helpers of their rows.
 
 The rows, such as those of Table 2, are in :mod:`dssc_jax.models.controllers.gain_functions`. r = |sigma|^(1/2)
 throughout. In units, y stands for the unit of the plant's output, and u for the unit of its command.
@@ -33,7 +33,7 @@ class IntegratedLaw(NamedTuple):
     """The law u_av = phi_1 + integral of phi_2 that sliding synthesises, at one sample.
 
     (22) is u_av' = g sigma' + g sigma/tau_m with g = 1/(k_o tau_av). phi_1(sigma, e) is the integral of g over
-    [0, sigma] at constant e, and phi_2 = u_av' - phi_1', the rest.
+    [0, sigma] at constant e. phi_2 is the rest, u_av' - phi_1'.
 
     Args:
         gain: phi_1/sigma, the mean of g over [0, sigma] [u s/y].
@@ -56,7 +56,7 @@ def super_twisting(functions: State) -> SuperTwisting:
     """Gains of the super-twisting algorithm (STA) that state-dependent functions approximate.
 
     Raises:
-        ConfigError: They approximate none.
+        ConfigError: The functions approximate no STA.
     """
     approximated = getattr(functions, "super_twisting", None)
     if approximated is None:

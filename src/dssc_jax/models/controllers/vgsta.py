@@ -1,11 +1,11 @@
 """The variable-gain super-twisting algorithm u = -kappa_1 phi_1 - int kappa_2 phi_1 phi_1' dt.
 
-phi_1 = phi_a sigma/(r + delta) + phi_b sigma (26), r = |sigma|^(1/2); delta = 0 gives the exact VGSTA, with
-kappa_3 = phi_b when phi_a = 1. kappa_1, kappa_2 as in Table 1.
+Here phi_1 = phi_a sigma/(r + delta) + phi_b sigma (26) with r = |sigma|^(1/2), and the gains kappa_1 and kappa_2 are
+those of Table 1. delta = 0 gives the exact VGSTA, with kappa_3 = phi_b when phi_a = 1.
 
 The implicit form evaluates the gains, and the factors of (26) that depend on delta, at the sampled (sigma, e), as
-DSSC does. With s = |x+|^(1/2) backward Euler is then a quadratic in s; for constant gains, phi_b = 0 and delta = 0 it
-equals the implicit STA.
+DSSC does. With s = |x+|^(1/2), where x+ is sigma after the sample, backward Euler is then a quadratic in s. For
+constant gains, phi_b = 0 and delta = 0 it equals the implicit STA.
 
 In units, y stands for the unit of the plant's output.
 """
@@ -52,7 +52,10 @@ class VgstaGains(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """Factors of phi_1(x) = a s sgn x + b x and its slope a_slope/(2 s) + b near the sampled sigma, s = |x|^(1/2)."""
+    """Factors of phi_1 and of its slope near the sampled sigma, where s = |x|^(1/2).
+
+    phi_1(x) is a s sgn x + b x, and its slope is a_slope/(2 s) + b.
+    """
 
     a: Scalar
     a_slope: Scalar
@@ -63,6 +66,10 @@ def shape_at(gains: VgstaGains, sigma: Scalar) -> Shape:
     """The factors of (26) at the sample; without delta they are phi_a, phi_a and phi_b exactly.
 
     With delta, a and a_slope vary with |x|; their values at the sampled sigma hold for the sample.
+
+    Args:
+        gains: Gains of the VGSTA.
+        sigma: Sliding variable at the sample [y/s].
     """
     r = root_abs(sigma, ROOT_FLOOR)
     rd = r + gains.delta  # r + delta
@@ -74,14 +81,19 @@ Update: TypeAlias = Callable[[Scalar, Scalar, Shape, VariableGains, Scalar, Scal
 
 
 class Phi(NamedTuple):
-    """phi_1(x), ``first``, and phi_2 = phi_1 phi_1', ``second``, at one x."""
+    """Values at one x: ``first`` is phi_1(x), and ``second`` is phi_2 = phi_1 phi_1'."""
 
     first: Scalar
     second: Scalar
 
 
 def phi_at(x: Scalar, shape: Shape) -> Phi:
-    """phi_1 and phi_2. Apart from its sign, phi_1 phi_1' is even in s = |x|^(1/2), hence bounded at 0."""
+    """phi_1 and phi_2. Apart from its sign, phi_1 phi_1' is even in s = |x|^(1/2), hence bounded at 0.
+
+    Args:
+        x: Where both are evaluated [y/s].
+        shape: Factors of phi_1 and its slope.
+    """
     s = root_abs(x)
     first = (shape.a + shape.b * s) * s * sign(x)
     second = (shape.a + shape.b * s) * (0.5 * shape.a_slope + shape.b * s) * sign(x)
@@ -138,7 +150,8 @@ Carried: TypeAlias = Callable[[Scalar, Scalar, Shape, VariableGains, Scalar, Sca
 def explicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar) -> Scalar:
     """The inverse of :func:`explicit_update` in v.
 
-    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    The result is the integral term v [y/s^2] before a sample that gives ``w`` [y/s^2], for a bumpless start. The other
+    arguments are as in :func:`explicit_update`; h does not enter the present w.
     """
     return w + k_n * at.kappa1 * phi_at(x, shape).first
 
@@ -146,14 +159,20 @@ def explicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n:
 def implicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar) -> Scalar:
     """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known.
 
-    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    The result is the integral term v [y/s^2] before a sample that gives ``w`` [y/s^2], for a bumpless start. The other
+    arguments are as in :func:`implicit_update`.
     """
     phi_1, phi_2 = phi_at(x + h * w, shape)
     return w + k_n * (at.kappa1 * phi_1 + h * at.kappa2 * phi_2)
 
 
 def gains_of_sample(gains: VgstaGains, error: TrackingError) -> VariableGains:
-    """The variable gains kappa_1 and kappa_2 at the sampled (sigma, e)."""
+    """The variable gains kappa_1 and kappa_2 at the sampled (sigma, e).
+
+    Args:
+        gains: Gains of the VGSTA.
+        error: Tracking errors sigma [y/s] and e [y].
+    """
     coefficients = (gains.kappa_a, gains.kappa_b, gains.kappa_c, gains.kappa_d)
     return variable_gains(error.sigma, error.e, coefficients, gains.epsilon, gains.gamma)
 
@@ -161,8 +180,8 @@ def gains_of_sample(gains: VgstaGains, error: TrackingError) -> VariableGains:
 def vgsta_of_dssc(gains: DsscGains) -> dict[str, float]:
     """The table of the VGSTA that corresponds to DSSC.
 
-    It has the numbers of Table 1 if DSSC's functions have them. Else it is the STA that the functions
-    approximate, as a VGSTA: phi_a = 1 and phi_b = 0, with constant gains and the smoothing delta.
+    If DSSC's functions are those of Table 1, the VGSTA has their numbers. Otherwise it is the STA that the functions
+    approximate, written as a VGSTA: phi_a = 1, phi_b = 0, constant gains and the smoothing delta.
     """
     if isinstance(gains.functions, Vgsta):
         numbers = {name: getattr(gains.functions, name) for name in TABLE_1_EXAMPLE}

@@ -1,8 +1,8 @@
 """Registry of differentiators, which estimate y' from sampled y; a new one is one file and one row here.
 
 Each starts at the first y with velocity zero and ignores the velocity of the first measurement, because only y is
-known. A step estimates y' at the current sample. Each is exact on y = c0 + c1 t after its transient, and stable at
-every dt. Angles must not be wrapped.
+known. A step estimates y' at the current sample. After its transient each gives the exact y' of y = c0 + c1 t, and each
+is stable at every dt. A y that is an angle must be continuous, without jumps by a turn.
 """
 
 from dssc_jax.core.contracts import Differentiator, NoParams

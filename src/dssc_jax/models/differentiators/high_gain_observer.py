@@ -21,8 +21,8 @@ class HighGainParams(NamedTuple):
     """Time constant and gains of the observer x1' = x2 + (alpha_1/epsilon)(y - x1), x2' = (alpha_2/epsilon^2)(y - x1).
 
     x1 estimates y, and x2 estimates y'. The transfer function from y to x2 is
-    s/((epsilon s)^2/alpha_2 + (alpha_1/alpha_2) epsilon s + 1); the defaults (assumed) give it the double pole
-    -1/epsilon.
+    s/((epsilon s)^2/alpha_2 + (alpha_1/alpha_2) epsilon s + 1). The default gains, which are assumed, give it the
+    double pole -1/epsilon.
     """
 
     epsilon: Annotated[Scalar, EPSILON]
@@ -38,7 +38,10 @@ class HighGainState(NamedTuple):
 
 
 def high_gain_init(params: HighGainParams, measurement: Measurement) -> HighGainState:
-    """The observer at the first measurement: at y, with velocity zero."""
+    """The observer at the first measurement: at y, with velocity zero.
+
+    The velocity of the measurement is ignored.
+    """
     return HighGainState(measurement.y, 0.0)
 
 

@@ -26,14 +26,21 @@ class LeadFilterState(NamedTuple):
 
 
 def lead_filter_init(params: LeadFilterParams, measurement: Measurement) -> LeadFilterState:
-    """The filter at the first measurement: its output is zero, as if y had been constant before."""
+    """The filter at the first measurement: its output is zero, as if y had been constant before.
+
+    The velocity of the measurement is ignored.
+    """
     return LeadFilterState(measurement.y, 0.0)
 
 
 def lead_filter_step(
     params: LeadFilterParams, state: LeadFilterState, measurement: Measurement, dt: Scalar
 ) -> tuple[LeadFilterState, Measurement]:
-    """Exact solution of tau_f v' = y' - v over dt, for y linear between the samples."""
+    """Exact solution of tau_f v' = y' - v over dt, for y linear between the samples.
+
+    The filter's output v estimates y'. The exact solution moves v towards the slope of y by the share 1 -
+    exp(-dt/tau_f).
+    """
     share = -jnp.expm1(-dt / params.tau_f)
     slope = (measurement.y - state.y) / dt
     velocity = state.velocity + share * (slope - state.velocity)

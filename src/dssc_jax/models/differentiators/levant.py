@@ -26,8 +26,8 @@ LAMBDA_0 = Quantity("1", "lambda_0 of the robust exact differentiator", above=1.
 class LevantParams(NamedTuple):
     """The bound L = ``lipschitz`` of |y''|, and the gains of the robust exact differentiator of first order.
 
-    It is z0' = -lambda_1 (L |z0 - y|)^(1/2) sgn(z0 - y) + z1, z1' = -lambda_0 L sgn(z0 - y), where z0 estimates y, and
-    z1 estimates y'. The default gains are Levant's (1998).
+    In continuous time the differentiator is z0' = -lambda_1 (L |z0 - y|)^(1/2) sgn(z0 - y) + z1 and z1' = -lambda_0 L
+    sgn(z0 - y), where z0 estimates y, and z1 estimates y'. The default gains are Levant's (1998).
     """
 
     lipschitz: Annotated[Scalar, LIPSCHITZ]
@@ -43,7 +43,10 @@ class LevantState(NamedTuple):
 
 
 def levant_init(params: LevantParams, measurement: Measurement) -> LevantState:
-    """The differentiator at the first measurement: at y, with velocity zero."""
+    """The differentiator at the first measurement: at y, with velocity zero.
+
+    The velocity of the measurement is ignored.
+    """
     return LevantState(measurement.y, 0.0)
 
 
@@ -52,12 +55,13 @@ def levant_step(
 ) -> tuple[LevantState, Measurement]:
     """Backward Euler with the set-valued sign, solved exactly.
 
-    With the error x = z0+ - y after the sample, the error b = z0 + dt z1 - y of the prediction and xi in Sgn x,
-    x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
-    For |b| <= dt^2 lambda_0 L the solution is x = 0, and z1+ is the backward difference of y: no chatter, and no
-    rounding that adds up. Once reached, sliding persists: b is then a second difference of y, at most
-    L dt^2 < lambda_0 L dt^2. The error is at most L dt/2, the least possible from samples. Outside of sliding, s =
-    |x|^(1/2) solves a quadratic.
+    Let x = z0+ - y be the error after the sample, b = z0 + dt z1 - y the error of the prediction, and xi in Sgn x. A
+    sample solves x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
+
+    For |b| <= dt^2 lambda_0 L the solution is x = 0: the differentiator slides, and z1+ is the backward difference of
+    y, without chatter or rounding errors that add up. Once reached, sliding persists, because b is then a second
+    difference of y, at most L dt^2 < lambda_0 L dt^2. The error of the velocity is at most L dt/2, the least possible
+    from samples. Outside of sliding, s = |x|^(1/2) solves a quadratic.
     """
     b = state.z0 + dt * state.z1 - measurement.y
     jump = dt * params.lambda0 * params.lipschitz
@@ -73,14 +77,18 @@ def backward_difference_step(
 ) -> tuple[LevantState, Measurement]:
     """One sample of the differentiator while it slides, z0 = y: its velocity is the backward difference of y.
 
-    It is :func:`levant_step` without the sign, so that it has a derivative everywhere.
+    This is :func:`levant_step` without the sign, so that the result has a derivative everywhere. The parameters are not
+    used, because the gains have no effect in sliding.
     """
     velocity = (measurement.y - state.z0) / dt
     return LevantState(measurement.y, velocity), Measurement(measurement.y, velocity)
 
 
 def in_sliding(params: LevantParams) -> tuple[Differentiator, LevantParams]:
-    """The part that is linearised in place of the robust exact differentiator: the backward difference of y."""
+    """The part that is linearised in place of the robust exact differentiator: the backward difference of y.
+
+    It stands for the differentiator while |y''| <= L, when it slides.
+    """
     return BACKWARD_DIFFERENCE, params
 
 

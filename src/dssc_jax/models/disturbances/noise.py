@@ -32,7 +32,8 @@ def noise_init(params: NoiseParams, key: jax.Array) -> Scalar:
 def noise_step(params: NoiseParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
     """The value at the next sample [u], by exact sampling of the process.
 
-    The standard deviation, and the correlation exp(-tau/T) over a time tau, are therefore the same for every dt.
+    The standard deviation, and the correlation exp(-tau/T) over a time tau, are therefore the same for every dt. The
+    process is stationary, so that the time ``t`` is not used.
     """
     decay = jnp.exp(-dt / params.correlation_time)
     spread = params.std * jnp.sqrt(-jnp.expm1(-2.0 * dt / params.correlation_time))

@@ -41,11 +41,19 @@ class PartitionParams(NamedTuple):
 def partition_value(
     params: PartitionParams, state: tuple[()], measurement: Measurement, sigma: Scalar, t: Scalar
 ) -> Scalar:
-    """The disturbance d_1 + d_2 + d_3 of (30) at t [s], in units of the command [u]; see :class:`PartitionParams`."""
+    """The disturbance d_1 + d_2 + d_3 of (30) at t [s], in units of the command [u]; see :class:`PartitionParams`.
+
+    Args:
+        params: The bounds of the class, and the period.
+        state: Not used: the disturbance has no memory.
+        measurement: y [y] and y' [y/s].
+        sigma: Sliding variable [y/s].
+        t: Time [s].
+    """
     omega = 2.0 * math.pi / params.period
     s = jnp.sin(omega * t)
     growth = params.k_d1 * jnp.abs(measurement.y) + params.k_d2 * jnp.abs(measurement.y_dot) + params.k_d3  # d_1/sigma
-    swing = jnp.minimum(params.k_d5 / omega, params.k_d4)  # amplitude of the stiffness
+    swing = jnp.minimum(params.k_d5 / omega, params.k_d4)  # amplitude with which the stiffness varies
     stiffness = params.k_d4 + swing * (s - 1.0)  # part of d_2 that is proportional to y
     drift = (params.alpha_d2 + params.alpha_d3) / omega * s  # parts of d_2 and d_3 that depend on time alone
     return growth * sigma + stiffness * measurement.y + drift + params.value

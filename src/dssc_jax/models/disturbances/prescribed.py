@@ -44,9 +44,10 @@ class SineDisturbanceParams(NamedTuple):
 class SplineParams(NamedTuple):
     """A cubic spline with knots ``interval`` apart, the first at the time ``at``.
 
-    It can approximate any signal of bounded amplitude and slope. d = sum of knots[i] B((t - at)/interval - i) with the
-    cubic B-spline B: |d| is at most the largest |knot|, and |d'| at most the largest difference of consecutive knots
-    divided by the interval. The spline begins and ends at 0, two intervals before the first and after the last knot.
+    With the cubic B-spline B it is d = sum of knots[i] B((t - at)/interval - i), which can approximate any signal of
+    bounded amplitude and slope. |d| is at most the largest |knot|, and |d'| at most the largest difference of
+    consecutive knots divided by the interval. The spline begins at 0 two intervals before the first knot, and ends at 0
+    two intervals after the last knot.
     """
 
     knots: Annotated[tuple[Scalar, ...], Quantity("u", "coefficient of the spline at a knot")]
@@ -55,14 +56,18 @@ class SplineParams(NamedTuple):
 
 
 def held_value(params: Params, state: Scalar, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
-    """The disturbance over the present sample [u], which the state holds."""
+    """The disturbance over the present sample [u], which the state holds.
+
+    The other arguments are those of every disturbance; a held one does not need them.
+    """
     return state
 
 
 def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
     """Mean of the step over the sample [t, t + dt) [u], which the plant gets in place of a jump within the sample.
 
-    So the integral of the disturbance is exact at all samples.
+    The integral of the disturbance is therefore exact at all samples. ``state`` and ``key`` are not used, because the
+    step neither remembers anything nor is random.
     """
     return params.value * elapsed_share(params.at, t, dt)
 
@@ -70,19 +75,29 @@ def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: 
 def sine_value(
     params: SineDisturbanceParams, state: State, measurement: Measurement, sigma: Scalar, t: Scalar
 ) -> Scalar:
-    """The sine [u] at t [s]."""
+    """The sine [u] at t [s].
+
+    The sine depends on the time alone; the other arguments are those of every disturbance.
+    """
     return params.amplitude * jnp.sin(2.0 * math.pi / params.period * t + params.phase)
 
 
 def check_knots(params: SplineParams) -> SplineParams:
-    """The parameters themselves, which must have at least one knot; raises ConfigError."""
+    """The parameters themselves, which must have at least one knot.
+
+    Raises:
+        ConfigError: There is no knot.
+    """
     if not params.knots:
         raise ConfigError("knots", "needs at least one knot, got none")
     return params
 
 
 def spline_value(params: SplineParams, state: tuple[()], measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
-    """The spline [u] at t [s]."""
+    """The spline [u] at t [s].
+
+    The spline depends on the time alone; the other arguments are those of every disturbance.
+    """
     return cubic_spline(params.knots, (t - params.at) / params.interval)
 
 

@@ -28,7 +28,7 @@ from dssc_jax.core.smoothness import SMOOTH
 
 
 class RecordedDisturbanceParams(NamedTuple):
-    """A recorded disturbance; a study file has ``file`` and ``column`` instead."""
+    """A recorded disturbance; a study file gives ``file`` and ``column`` in place of these fields."""
 
     time: Annotated[Values, TIMES]
     value: Annotated[Values, Quantity("u", "values at these times", law=False, data=True)]
@@ -37,16 +37,21 @@ class RecordedDisturbanceParams(NamedTuple):
 def record_mean(record: HeldRecord, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
     """Mean of a held record over the sample [t, t + dt) [u], which the plant gets in place of jumps within the sample.
 
-    So the integral of the disturbance is exact at all samples.
+    The integral of the disturbance is therefore exact at all samples. ``state`` and ``key`` are not used, because the
+    record determines the mean.
     """
     return held_mean(record, t, dt)
 
 
 def recorded_disturbance(rule: Interpolation) -> Disturbance:
-    """The disturbance that interpolates a record by a rule, as a model; with ``hold`` it is constant over a sample."""
+    """Make the disturbance that interpolates a record by a rule; with ``hold`` it is constant over a sample."""
 
     def prepare(params: RecordedDisturbanceParams) -> Pieces:
-        """The record as a piecewise cubic function of time; raises ConfigError."""
+        """The record as a piecewise cubic function of time.
+
+        Raises:
+            ConfigError: The times do not rise, are too few or too many, or do not have one value each.
+        """
         return cubic_pieces(params.time, params.value, rule)
 
     if rule == Interpolation.HOLD:

@@ -15,11 +15,14 @@ from dssc_jax.core.numerics import clip, delay_weights, dot
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 
-MOST_SAMPLES = 200  # samples: the state holds a scalar for each, as for the constant delay
+MOST_SAMPLES = 200  # the state holds one scalar for each sample of delay, as for the constant delay
 
 
 class GrowingParams(NamedTuple):
-    """The growth of a delay of the commands: ``rate`` times the time since the event, at most ``memory`` samples."""
+    """The growth of a delay of the commands.
+
+    The delay is ``rate`` times the time since the event, and at most ``memory`` samples.
+    """
 
     at: Annotated[Scalar, AT]
     rate: Annotated[Scalar, Quantity("1", "growth of the delay, seconds a second", at_least=0.0)]
@@ -43,7 +46,11 @@ class GrowingState(NamedTuple):
 
 
 def prepare(params: GrowingParams) -> GrowingParams:
-    """The parameters themselves, whose memory must be a whole number of samples; raises ConfigError."""
+    """The parameters themselves, whose memory must be a whole number of samples.
+
+    Raises:
+        ConfigError: The memory is not whole.
+    """
     if not float(params.memory).is_integer():
         raise ConfigError("memory", f"must be a whole number of samples, got {params.memory:g}")
     return params
@@ -58,7 +65,8 @@ def sample(params: GrowingParams, state: GrowingState, command: Scalar, key: jax
     """The memory after a new command, with the delayed command that the plant gets until the next one.
 
     A delay of n + f samples, n whole and 0 <= f < 1, switches within the sample from the command of n + 1 samples ago
-    to the command of n samples ago. The plant gets the mean of these two, with the weights f and 1 - f.
+    to the command of n samples ago. The plant gets the mean of these two, with the weights f and 1 - f. ``key`` is not
+    used, because nothing is random.
     """
     commands = (command, *state.commands[:-1])  # the oldest command leaves the memory
     samples = clip(params.rate * (state.t - params.at) / dt, 0.0, params.memory)
@@ -77,5 +85,5 @@ GROWING_DELAY = CommandEvent(
     ),
     "the delay of the commands",
     prepare,
-    last_change=lambda params: math.inf,  # it grows as slowly as its rate wants
+    last_change=lambda params: math.inf,  # with a small rate the delay grows for any length of time
 )

@@ -13,8 +13,8 @@ from dssc_jax.core.vectors import Vec3
 class PayloadParams(NamedTuple):
     """A point mass that the vehicle picks up at a place or, if the mass is negative, drops from there.
 
-    The mass of the vehicle includes a mass that it will drop. Velocity and body rate do not jump, since a mass that is
-    picked up is assumed to move with the vehicle already.
+    The vehicle's own mass must include a mass that is dropped later. Velocity and body rate do not jump, since a mass
+    that is picked up is assumed to move with the vehicle already.
     """
 
     at: Annotated[Scalar, AT]
@@ -28,16 +28,26 @@ class PayloadParams(NamedTuple):
 
 
 def prepare(params: PayloadParams) -> PayloadParams:
-    """The parameters themselves, whose place must have the three values x, y, z; raises ConfigError."""
+    """The parameters themselves, whose place must have the three values x, y, z.
+
+    Raises:
+        ConfigError: The place has another number of values.
+    """
     if len(params.offset) != 3:
         raise ConfigError("offset", f"needs three values, got {len(params.offset)}")
     return params
 
 
 def change(params: PayloadParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share, in [0, 1], of the mass at its place.
+    """The condition of the vehicle with a share of the mass at its place.
 
     Masses of other events stay: the moments of all masses add up.
+
+    Args:
+        params: The mass and its place.
+        condition: The condition after earlier events.
+        share: Share of the mass that is at its place, in [0, 1].
+        rotors: Number of rotors, which is not needed here.
     """
     mass = share * params.mass
     x, y, z = params.offset

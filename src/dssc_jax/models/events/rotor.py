@@ -14,7 +14,7 @@ from dssc_jax.core.signals import Scalar
 class RotorParams(NamedTuple):
     """A rotor that keeps a share of its thrust; rotors count from 1, as ``rotor_1`` of trajectories.
 
-    It turns at its speed times the root of this share, so drag torque, drag and gyroscopic torque change as well.
+    The rotor turns at its speed times the root of this share, so drag torque, drag and gyroscopic torque change, too.
     """
 
     at: Annotated[Scalar, AT]
@@ -26,9 +26,15 @@ class RotorParams(NamedTuple):
 
 
 def change(params: RotorParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share, in [0, 1], of the rotor's loss of thrust.
+    """The condition of the vehicle with a share of the rotor's loss of thrust.
 
-    The number of the rotor may be traced, as in a sweep; then every rotor is compared with it in the program.
+    The number of the rotor may be traced, as in a sweep. The program then compares every rotor with this number.
+
+    Args:
+        params: The rotor, and the share of its thrust that it keeps.
+        condition: The condition after earlier events, whose losses multiply with this one.
+        share: Share of the loss that has happened, in [0, 1].
+        rotors: Number of rotors of the vehicle.
     """
     shares = condition.effectiveness or (1.0,) * rotors  # (): no earlier event
     remaining_share = 1.0 - share * (1.0 - params.effectiveness)

@@ -10,11 +10,11 @@ from dssc_jax.core.events import AT, SensorEvent, Wrapped
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, Scalar, State
 
-ROUNDING = 1e-9  # samples
+ROUNDING = 1e-9  # tolerance for the rounding of t = k T_s [samples]
 
 
 class OutageParams(NamedTuple):
-    """Beginning ``at`` and ``duration`` of an outage, during which the sensor shows its last reading before it."""
+    """Start ``at`` and length ``duration`` of an outage, during which the last reading before the outage is shown."""
 
     at: Annotated[Scalar, AT]
     duration: Annotated[Scalar, Quantity("s", "time for which the last reading is shown", at_least=0.0)]
@@ -28,20 +28,22 @@ class OutageState(NamedTuple):
 
 
 def wrap(sensor: Sensor) -> Sensor:
-    """Make a sensor with an outage from a sensor: at samples in [at, at + duration) it shows its last reading before.
+    """Make a sensor with an outage from a sensor without one.
 
-    An outage from t = 0 on repeats the first reading.
+    At samples in [at, at + duration) it shows the last reading before the outage. An outage from t = 0 on repeats the
+    first reading.
     """
 
     def init(params: Wrapped, measurement: Measurement, key: jax.Array) -> OutageState:
-        """The state from the first true measurement, before any reading is shown."""
-        inner = sensor.init(params.inner, measurement, key)  # the first sample replaces what is shown
+        """The sensor's own first state, and the first true measurement as the reading that is shown."""
+        inner = sensor.init(params.inner, measurement, key)
+        # the reading shown is a placeholder: the first sample, at t = 0, replaces it in any case
         return OutageState(inner, Measurement(measurement.y, measurement.y_dot))
 
     def step(
         params: Wrapped, state: OutageState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[OutageState, Measurement]:
-        """One sample; during the outage y and y' stay, while the sensor itself goes on."""
+        """One sample: during the outage the shown y and y' stay, while the sensor's own state goes on."""
         inner, reading = sensor.step(params.inner, state.inner, measurement, key, t, dt)
         elapsed = t - params.event.at + ROUNDING * dt
         frozen = (t > 0.0) & (elapsed >= 0.0) & (elapsed < params.event.duration)

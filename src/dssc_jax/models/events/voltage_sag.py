@@ -9,7 +9,10 @@ from dssc_jax.core.signals import Scalar
 
 
 class SagParams(NamedTuple):
-    """A fall of the voltage to a share; rotors turn at this share of their speed, so thrust falls with its square."""
+    """A fall of the voltage to a share.
+
+    Rotors turn at this share of their speed, so that thrust falls with the square of the share.
+    """
 
     at: Annotated[Scalar, AT]
     voltage: Annotated[Scalar, Quantity("1", "share of the voltage that remains", above=0.0, at_most=1.5)]

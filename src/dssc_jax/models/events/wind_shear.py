@@ -11,7 +11,7 @@ from dssc_jax.core.vectors import Vec3
 
 
 class ShearParams(NamedTuple):
-    """A wind that is added to the study's: ``gradient`` times the vehicle's height above ``height``."""
+    """A wind that is added to the study's wind: ``gradient`` times the height of the vehicle above ``height``."""
 
     at: Annotated[Scalar, AT]
     gradient: Annotated[tuple[Scalar, ...], Quantity("1/s", "change of the wind x, y, z with height")]
@@ -21,14 +21,25 @@ class ShearParams(NamedTuple):
 
 
 def prepare(params: ShearParams) -> ShearParams:
-    """The parameters themselves, whose gradient must have the three values x, y, z; raises ConfigError."""
+    """The parameters themselves, whose gradient must have the three values x, y, z.
+
+    Raises:
+        ConfigError: The gradient has another number of values.
+    """
     if len(params.gradient) != 3:
         raise ConfigError("gradient", f"needs three values, got {len(params.gradient)}")
     return params
 
 
 def change(params: ShearParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share, in [0, 1], of this shear beside the shears of other events."""
+    """The condition of the vehicle with a share of this shear, beside the shears of other events.
+
+    Args:
+        params: The shear.
+        condition: The condition after earlier events.
+        share: Share of the shear that has set in, in [0, 1].
+        rotors: Number of rotors, which is not needed here.
+    """
     shear = Shear(Vec3(*params.gradient) * share, params.height)
     return condition._replace(shears=(*condition.shears, shear))
 

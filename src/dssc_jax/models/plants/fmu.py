@@ -45,13 +45,16 @@ RATE_KEY = "y_dot"
 
 
 class FmuPlantParams(NamedTuple):
-    """Parameters of a plant in an FMU; with a known FMU, its own parameters are a further field."""
+    """Parameters of a plant in an FMU.
+
+    When the FMU is known, its own parameters are one more field.
+    """
 
     k_p: Annotated[Scalar | None, K_P] = None
 
 
 class FmuState(NamedTuple):
-    """State of a plant in an FMU; all else is in the FMU's instance.
+    """State of a plant in an FMU, as far as it is outside of the FMU's instance.
 
     Args:
         words: Handle of the instance, and number of steps that it has made.
@@ -100,13 +103,16 @@ class FmuPlant:
 
     @property
     def connected_inputs(self) -> tuple[Connection, ...]:
-        """The inputs that are set before each step: command, disturbance if it has one of its own, named inputs."""
+        """The inputs that are set before each step.
+
+        They are the command, the disturbance if it has an input of its own, and the named inputs.
+        """
         disturbance = () if self.disturbance_input is None else (self.disturbance_input,)
         return (self.command, *disturbance, *self.inputs)
 
     @property
     def units(self) -> ChannelUnits:
-        """Units and meanings of output and command; the symbols y and u stand for units that the FMU does not state."""
+        """Units and meanings of output and command; for a unit that the FMU does not state, the symbol y or u."""
         output = self.y.variable.quantity
         command = self.command.variable.quantity
         return ChannelUnits(output.unit or OUTPUT_UNIT, command.unit or COMMAND, output.meaning, command.meaning)
@@ -120,7 +126,7 @@ class FmuPlant:
 
         Args:
             params: Parameters, among them the FMU's.
-            state: The state of :meth:`init`.
+            state: The state of :meth:`init`, whose y' is kept if no output gives y'.
             lane: Word that tells the draw's instance apart.
             steps: Number of steps of the flight.
         """
@@ -132,7 +138,7 @@ class FmuPlant:
         """Advance the FMU by one step of length h [s] under constant input.
 
         A disturbance without an input of its own is added to the command. Without an output for y', y' is the
-        difference quotient of y over the step.
+        difference quotient of y over the step. The FMU keeps its own time, so that ``t`` is not used.
         """
         command = drive.command if self.disturbance_input else drive.command + drive.disturbance
         inputs: Signals = drive.inputs or (0.0,) * len(self.inputs)
@@ -150,7 +156,10 @@ class FmuPlant:
         return y, y_dot, tuple(outputs)
 
     def report(self, params: Params, state: FmuState, drive: PlantInput[Scalar]) -> Info:
-        """Report the additional outputs by their names in the study; () if there are none."""
+        """Report the additional outputs by their names in the study; () if there are none.
+
+        Parameters and input are not used: the state has the outputs of the last step.
+        """
         if not self.outputs:
             return ()
         report = report_type(tuple(signal for signal, _ in self.outputs))
@@ -181,7 +190,11 @@ def input_gain(params: Params) -> Scalar:
 
 
 def no_derivative(params: Params, state: FmuState, drive: PlantInput[Scalar], t: Scalar) -> NoReturn:
-    """Refuse the derivative of the state, which an FMU does not give; raises ConfigError."""
+    """Refuse to give the derivative of the state, which is inside the FMU.
+
+    Raises:
+        ConfigError: Always.
+    """
     raise ConfigError("plant", WITHOUT_DERIVATIVE)
 
 

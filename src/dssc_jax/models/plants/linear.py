@@ -5,8 +5,8 @@ with c A^(r-1) b not zero, or the excess of poles over zeros. A controller can r
 
 * r = 2: y' does not depend on the command, and y'' depends on it with the gain c A b. The plant is of the class
   (5)-(8) where its zeros are stable (:mod:`dssc_jax.core.normal_form`).
-* r = 1: y' jumps with the command. At a sample it is measured just before the jump, so that it contains the last
-  command. A differentiator (``[differentiator]``) or a controller that uses y alone (PID) does not need it.
+* r = 1: y' jumps with the command. At a sample y' is measured just before the jump, so that it contains the last
+  command. A differentiator (``[differentiator]``) or a controller that uses y alone (PID) does not need this y'.
 * r > 2: y' is exact, but sigma = e' + l_0 e does not have relative degree one.
 """
 
@@ -99,7 +99,12 @@ class LinearState(NamedTuple):
 
 
 def initial_state(x0: tuple[Scalar, ...], order: int) -> LinearState:
-    """Return the state at t = 0 of a plant with ``order`` states: the entries x0, filled up with zeros."""
+    """The state at t = 0: the entries ``x0``, filled up with zeros.
+
+    Args:
+        x0: First entries of the state.
+        order: Number of states.
+    """
     return LinearState((*x0, *(0.0,) * (order - len(x0))))
 
 
@@ -110,7 +115,7 @@ def state_space_dynamics(params: StateSpaceParams) -> LinearDynamics:
 
 
 def state_space_measure(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Measurement:
-    """y = c x, and y' = c A x + c b u + c e d + the effect of the named inputs.
+    """The output y = c x, and its derivative y' = c A x + c b u + c e d + the effect of the named inputs.
 
     Here u is the command, and d the disturbance with its column e. Where a relative degree is known to be above 1, the
     product c b or c e is 0 and is left out.
@@ -126,12 +131,12 @@ def state_space_measure(params: StateSpaceParams, state: LinearState, drive: Pla
 
 
 def state_space_report(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Info:
-    """Report the outputs that the study names, for metrics and plots; () if it names none."""
+    """The values of the outputs that the study names, for metrics and plots; () if it names none."""
     return output_report(params.outputs, params.inputs, state.x, drive, is_matched=params.disturbance is None)
 
 
 def state_space_gain(params: StateSpaceParams) -> Scalar:
-    """c A^(r-1) b: the gain from the command to the r-th derivative of the output, with the relative degree r."""
+    """The high-frequency gain c A^(r-1) b: from the command to the r-th derivative of y, with the relative degree r."""
     degree = int(params.degree or 1)  # None before the plant is prepared
     column = params.b
     for _ in range(degree - 1):
@@ -173,7 +178,7 @@ def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
 def last_slope(params: RationalParams, state: LinearState) -> Scalar:
     """Derivative of the last state x_n without command and disturbance: -(a_0 x_1 + a_1 x_2 + ...)/a_n.
 
-    The coefficients a_i of the denominator belong to s^i.
+    The coefficient a_i of the denominator belongs to s^i.
     """
     leading, *lower = params.denominator
     return -dot(tuple(reversed(lower)), state.x) / leading
@@ -182,8 +187,8 @@ def last_slope(params: RationalParams, state: LinearState) -> Scalar:
 def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
     """Make the plant's matrices in controllable canonical form.
 
-    x_i' = x_(i+1). Command and disturbance add to the derivative of the last state with gain 1. The numerator does not
-    enter here; it determines the output (:func:`transfer_function_measure`).
+    The states obey x_i' = x_(i+1). Command and disturbance add to the derivative of the last state with gain 1. The
+    numerator determines only the output (:func:`transfer_function_measure`).
     """
     leading, *lower = params.denominator
     order = len(lower)
@@ -196,10 +201,10 @@ def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
 
 
 def transfer_function_measure(params: RationalParams, state: LinearState, drive: PlantInput) -> Measurement:
-    """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its derivative y'.
+    """The output y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its derivative y'.
 
-    The coefficients b_i of the numerator belong to s^i. Since x_i' = x_(i+1), the last state's derivative is the only
-    one that depends on command and disturbance.
+    The coefficients b_i of the numerator belong to s^i. Since x_i' = x_(i+1), only the derivative of the last state
+    depends on command and disturbance.
     """
     rising = tuple(reversed(params.numerator))
     slope = (*state.x[1:], last_slope(params, state) + drive.command + drive.disturbance)
@@ -209,15 +214,16 @@ def transfer_function_measure(params: RationalParams, state: LinearState, drive:
 
 
 def transfer_function_gain(params: RationalParams) -> Scalar:
-    """b_m/a_n: the gain from the command to the derivative of the output whose order is the relative degree."""
+    """The high-frequency gain b_m/a_n: from the command to the r-th derivative of y, with the relative degree r."""
     return params.numerator[0] / params.denominator[0]
 
 
 def prepare_transfer_function(params: RationalParams) -> RationalParams:
-    """Require a strictly proper plant with leading coefficients that are not zero, and set its relative degree.
+    """The parameters with their relative degree, which must be those of a strictly proper plant.
 
     Raises:
-        ConfigError: The plant is not of this kind.
+        ConfigError: The plant is not strictly proper, has too many states or initial values, or has a leading
+            coefficient that is 0.
     """
     order = len(params.denominator) - 1
     if not 1 <= order <= MOST_STATES:
@@ -233,7 +239,15 @@ def prepare_transfer_function(params: RationalParams) -> RationalParams:
 
 
 def require_start(x0: tuple[Scalar, ...], order: int) -> None:
-    """Require an initial state with at most as many numbers as the plant has states; raises ConfigError."""
+    """Require at most as many initial values as the plant has states.
+
+    Args:
+        x0: The initial values.
+        order: Number of states.
+
+    Raises:
+        ConfigError: There are more.
+    """
     if len(x0) > order:
         raise ConfigError("x0", f"must have at most {order} numbers, one for each state, got {len(x0)}")
 

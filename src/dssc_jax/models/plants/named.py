@@ -73,6 +73,11 @@ def output_report(outputs: Outputs, inputs: Inputs, x: tuple[Scalar, ...], drive
 def require_named(outputs: Outputs, inputs: Inputs, order: int) -> None:
     """Check the sizes, names and units of named outputs and inputs of a plant with ``order`` states.
 
+    Args:
+        outputs: The named outputs; None: there are none.
+        inputs: The named inputs; None: there are none.
+        order: Number of states.
+
     Raises:
         ConfigError: A row or column has another length, an output names no input, or a unit is no unit.
     """
@@ -92,13 +97,26 @@ def require_named(outputs: Outputs, inputs: Inputs, order: int) -> None:
 
 
 def require_length(place: str, numbers: tuple[Scalar, ...], order: int) -> None:
-    """Require a row or column with one number for each of ``order`` states; raises ConfigError."""
+    """Require a row or column with one number for each state.
+
+    Args:
+        place: Name of the field, for the message.
+        numbers: The row or column.
+        order: Number of states.
+
+    Raises:
+        ConfigError: There are more or fewer numbers.
+    """
     if len(numbers) != order:
         raise ConfigError(place, f"must have {order} numbers, one for each state, got {len(numbers)}")
 
 
 def require_unit(unit: str) -> None:
-    """Require an empty unit, or one that is a product of powers; raises ConfigError."""
+    """Require that a unit is empty, or a product of powers of symbols.
+
+    Raises:
+        ConfigError: The text is no such unit.
+    """
     try:
         parse_unit(unit or "1")
     except ValueError as error:

@@ -58,7 +58,7 @@ def linear(params: NormalFormParams) -> LinearDynamics:
 
 
 def measure(params: NormalFormParams, state: NormalFormState, drive: PlantInput) -> Measurement:
-    """y = x1 (8) and y' = x2 (6), neither of which depends on the input."""
+    """The output y = x1 (8) and its derivative y' = x2 (6), which depend neither on the input nor on the parameters."""
     del params, drive
     return Measurement(state.x1, state.x2)
 
@@ -69,7 +69,12 @@ def input_gain(params: NormalFormParams) -> Scalar:
 
 
 def prepare(params: NormalFormParams) -> NormalFormParams:
-    """Check the zero dynamics and the length of the initial state; raises ConfigError."""
+    """The parameters themselves, after a check of the zero dynamics and of the initial state's length.
+
+    Raises:
+        ConfigError: The zero dynamics are not stable, their coefficients differ in number, or the initial state has too
+            few or too many values.
+    """
     order = 0
     if params.zero_dynamics is not None:
         require_hurwitz(params.zero_dynamics)

@@ -27,7 +27,10 @@ class Spacing(StrEnum):
 
 
 class ChirpParams(NamedTuple):
-    """y_m = offset + amplitude sin(phase) from ``at`` on; after ``duration`` the frequency stays at its last value."""
+    """A chirp y_m = offset + amplitude sin(phase), which begins at the time ``at``.
+
+    The frequency moves from ``start`` to ``end`` within ``duration``, and then stays at ``end``.
+    """
 
     amplitude: Annotated[Scalar, Quantity("y", "amplitude")]
     start: Annotated[Scalar, Quantity("Hz", "first frequency", above=0.0)]
@@ -38,7 +41,7 @@ class ChirpParams(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """Phase of a chirp: ``angle`` [rad], its ``rate`` [rad/s] and the rate of change of that, ``sweep`` [rad/s^2]."""
+    """Phase of a chirp and its derivatives: ``angle`` [rad], ``rate`` [rad/s] and ``sweep`` [rad/s^2]."""
 
     angle: Scalar
     rate: Scalar
@@ -46,7 +49,12 @@ class Phase(NamedTuple):
 
 
 def linear_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
-    """The phase at a time since the start [s], with a frequency that changes by equal amounts in equal times."""
+    """The phase with a frequency that changes by equal amounts in equal times.
+
+    Args:
+        params: The chirp.
+        elapsed: Time since the start of the chirp [s], at most its duration.
+    """
     slope = (params.end - params.start) / params.duration
     angle = math.tau * elapsed * (params.start + 0.5 * slope * elapsed)
     rate = math.tau * (params.start + slope * elapsed)
@@ -54,10 +62,10 @@ def linear_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
 
 
 def logarithmic_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
-    """The phase at a time since the start [s], with a frequency that changes by equal factors in equal times.
+    """The phase with a frequency that changes by equal factors in equal times.
 
-    The frequency f_0 e^x with x = growth t has the mean f_0 (e^x - 1)/x over the time t. Near x = 0, where the
-    quotient cancels, it is taken as 1 + x/2.
+    The frequency f_0 e^x with x = growth t has the mean f_0 (e^x - 1)/x over the time t. Near x = 0 numerator and
+    denominator vanish, and 1 + x/2 stands for the quotient. Arguments are as for :func:`linear_sweep`.
     """
     growth = jnp.log(params.end / params.start) / params.duration
     exponent = growth * elapsed
@@ -68,11 +76,11 @@ def logarithmic_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
 
 
 def chirp(spacing: Spacing) -> Reference:
-    """Make the chirp whose frequency changes by equal amounts or by equal factors."""
+    """Make the chirp whose frequency changes by equal amounts or by equal factors in equal times."""
     sweep_phase = linear_sweep if spacing is Spacing.LINEAR else logarithmic_sweep
 
     def at(params: ChirpParams, t: Scalar) -> ReferencePoint:
-        """The chirp and its derivatives at t [s]; before it begins, the offset."""
+        """The chirp and its derivatives at t [s]; before the chirp begins, the constant offset."""
         elapsed = jnp.maximum(t - params.at, 0.0)
         sweep_time = jnp.minimum(elapsed, params.duration)
         angle, rate, sweep = sweep_phase(params, sweep_time)

@@ -34,7 +34,11 @@ Placed = TypeVar("Placed", HoverParams, StepsParams)
 
 
 def require_place_in_space(params: Placed) -> Placed:
-    """The parameters themselves, whose position must have the three values x, y, z; raises ConfigError."""
+    """The parameters themselves, whose position must have the three values x, y, z.
+
+    Raises:
+        ConfigError: The position has another number of values.
+    """
     if len(params.position) != 3:
         raise ConfigError("position", f"needs three values, got {len(params.position)}")
     return params
@@ -54,7 +58,7 @@ def steps_at(params: StepsParams, t: Scalar) -> Flight:
 
 
 def whole_mission(params: NoParams, t: Scalar) -> Flight:
-    """The article's mission in all four axes at t [s]."""
+    """The article's mission in all four axes at t [s]; it has no parameters."""
     x, y, z, psi = (sine_at(axis, t) for axis in MISSION.values())
     return x, y, z, psi
 

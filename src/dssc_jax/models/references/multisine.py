@@ -20,9 +20,9 @@ from dssc_jax.core.signals import ReferencePoint, Scalar
 
 
 class MultisineParams(NamedTuple):
-    """y_m = offset + the sum of a_k sin(2 pi f_k t + phi_k).
+    """The sum of sines y_m = offset + the sum of a_k sin(2 pi f_k t + phi_k).
 
-    Absent phases are Schroeder's, with which equal amplitudes have a low peak.
+    Phases that are None become Schroeder's, with which sines of equal amplitudes have a low peak.
     """
 
     amplitudes: Annotated[tuple[Scalar, ...], Quantity("y", "amplitude of each sine")]
@@ -53,7 +53,11 @@ def schroeder_phases(count: int) -> tuple[float, ...]:
 
 
 def prepare_multisine(params: MultisineParams) -> MultisineParams:
-    """The parameters with phases, by default Schroeder's, and lists that must have one length; raises ConfigError."""
+    """The parameters with phases, by default Schroeder's; the lists must have one length.
+
+    Raises:
+        ConfigError: The lists are empty or differ in length.
+    """
     count = len(params.amplitudes)
     phases = schroeder_phases(count) if params.phases is None else params.phases
     for name, values in (("frequencies", params.frequencies), ("phases", phases)):

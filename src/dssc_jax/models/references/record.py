@@ -21,7 +21,7 @@ class RecordParams(NamedTuple):
     Derivatives follow from the interpolation. With a recorded rate, y_ref' is this rate, interpolated by the same
     rule, and y_ref'' its slope.
 
-    The record of an angle may jump by a turn, such as one in (-pi, pi]; the reference then takes the shorter way.
+    The record of an angle may jump by a turn, as one within (-pi, pi] does; the reference then takes the shorter way.
 
     A study file has ``file`` and ``column`` instead, and ``rate_column``, with ``rate_file`` if that is another file.
     The values become part of the study when it is read.
@@ -43,7 +43,11 @@ class RatedPieces(NamedTuple):
 
 
 def record_pieces(params: RecordParams, rule: Interpolation) -> Pieces | RatedPieces:
-    """The record as functions of time by a rule of interpolation, with its recorded rate if it has one.
+    """The record as functions of time, with its recorded rate if it has one.
+
+    Args:
+        params: The record.
+        rule: Rule of interpolation between the recorded values.
 
     Raises:
         ConfigError: Lengths do not fit, times do not rise, or times of a rate are given without a rate.
@@ -70,7 +74,7 @@ def record_at(pieces: Pieces | RatedPieces, t: Scalar) -> ReferencePoint:
 
 
 def record_end(pieces: Pieces | RatedPieces) -> float:
-    """Return the time from which value and rate stay [s]."""
+    """The time [s] from which both value and rate are constant."""
     if isinstance(pieces, RatedPieces):
         return max(last_time(pieces.value), last_time(pieces.rate))
     return last_time(pieces)

@@ -1,7 +1,7 @@
 """Steps, ramps and pulse trains as desired outputs.
 
-A step and a pulse train have no derivatives at their edges. There y_m' and y_m'' are those on the right: a controller
-that uses them sees a change of y_m and no impulse.
+A step and a pulse train have no derivatives at their edges. There y_m' and y_m'' are the derivatives on the right, so
+that a controller sees a change of y_m and no impulse.
 
 In units, y stands for the unit of the plant's output.
 """
@@ -78,7 +78,11 @@ def pulse_at(params: PulseParams, t: Scalar) -> ReferencePoint:
 
 
 def prepare_pulse(params: PulseParams) -> PulseParams:
-    """The parameters themselves, whose pulses must end before the next ones begin; raises ConfigError."""
+    """The parameters themselves, whose pulses must end before the next ones begin.
+
+    Raises:
+        ConfigError: For some values of their laws, the width is not below the period.
+    """
     _, widest = extent(params.width)
     shortest, _ = extent(params.period)
     if not widest < shortest:
@@ -92,7 +96,7 @@ def step_level(params: StepReferenceParams) -> Scalar:
 
 
 def ramp_level(params: RampParams) -> Scalar:
-    """The level of the reference: its value after the ramp, or before it if the ramp does not end."""
+    """The level of the reference: its value after the ramp, or the value before it if the ramp does not end."""
     return params.offset + (0.0 if params.rise is None else params.slope * params.rise)
 
 

@@ -14,7 +14,12 @@ SHARPEST_TURN = 0.5  # cosine of the largest turn of the path between two of its
 
 
 def path_speed(path: CubicSpline, u: np.ndarray) -> np.ndarray:
-    """|dr/du|, the length of the path per unit of its parameter u, at each u, any shape."""
+    """|dr/du| at each u: the length of the path per unit of its parameter u.
+
+    Args:
+        path: The path.
+        u: Parameters, any shape.
+    """
     slope = path(u, 1)  # first derivative of x, y, z and psi
     return np.linalg.norm(slope[..., :3], axis=-1)
 
@@ -33,12 +38,15 @@ def path_length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.nda
 
 
 def nonzero_path_speed(path: CubicSpline, u: np.ndarray) -> np.ndarray:
-    """:func:`path_speed`, but the smallest normal number where it is 0, so that one can divide by it."""
+    """The speed |dr/du| of :func:`path_speed`, but the smallest normal number in place of 0.
+
+    One can therefore divide by the result. Arguments are as for :func:`path_speed`.
+    """
     return np.maximum(path_speed(path, u), np.finfo(float).tiny)
 
 
 def nearest_waypoint(path: CubicSpline, u: float) -> int:
-    """The number of the waypoint nearest to a parameter of the path, from 0."""
+    """The number, from 0, of the waypoint that is nearest to a parameter u of the path."""
     return int(np.abs(path.x - u).argmin())
 
 
@@ -62,12 +70,12 @@ def check_turns(path: CubicSpline, u: np.ndarray) -> None:
 
 
 def parameters_at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distances: np.ndarray) -> np.ndarray:
-    """The parameters at which the path has reached some lengths, by Newton's method, shape (m,).
+    """The parameters at which the path has reached some lengths, shape (m,), by four steps of Newton's method.
 
     Args:
         path: The path.
         u: Parameters of a grid, rising, shape (n,).
-        s: Length of the path up to each of them [m], shape (n,).
+        s: Length of the path up to each parameter of the grid [m], shape (n,).
         distances: The lengths [m], shape (m,).
     """
     # k: the interval of the grid in which each length lies
@@ -80,7 +88,10 @@ def parameters_at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distan
 
 
 def path_grid(path: CubicSpline) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters of the path, ``LEG_PARTS`` to a leg, and the length of the path up to each [m], shape (n,) each."""
+    """A grid of parameters of the path, and the length of the path up to each [m], shape (n,) each.
+
+    The grid has ``LEG_PARTS`` parts in each leg between two waypoints.
+    """
     waypoints = len(path.x)
     legs = np.arange(LEG_PARTS * (waypoints - 1) + 1) / LEG_PARTS  # 0 at the first waypoint, 1 at the second, ..
     grid = np.interp(legs, np.arange(waypoints), path.x)

@@ -36,7 +36,7 @@ FLATTENING = 1.0 / 298.257223563  # f of WGS 84 (TR8350.2, table 3.1)
 STANDARD_GRAVITY = 9.80665  # g_n [m/s^2] (3rd CGPM, 1901)
 LATERAL_LIMIT = 0.5 * STANDARD_GRAVITY  # greatest acceleration across the path [m/s^2]: a tilt of 27 degrees (assumed)
 FRAME_RADIUS = 1e4  # reach of the local frame [m] (assumed): the ground is 8 m below the tangent plane there
-SAME = 0.01  # consecutive waypoints nearer than this [m] are the same (assumed; the precision of RTK positioning)
+SAME = 0.01  # consecutive waypoints nearer than this [m] count as one (assumed; the precision of RTK positioning)
 SEGMENT_TIME = 0.02  # duration of a segment of the table [s]
 FEWEST_SEGMENTS = 256
 MOST_SEGMENTS = 65536
@@ -54,9 +54,9 @@ class WaypointParams(NamedTuple):
     """Waypoints in the order of flight.
 
     The origin of x (east), y (north) and z (up) is the ground at the first waypoint. Yaw is measured from east towards
-    north, as psi of the model (not as a compass heading), and turns the shorter way from one waypoint to the next;
+    north, as psi of the model and unlike a compass heading. It turns the shorter way from one waypoint to the next;
     without yaw, psi is 0. Heights are differences of ellipsoidal heights. The ground is assumed to lie on the
-    ellipsoid, which shortens lengths by 1.6e-7 for each metre of its true height.
+    ellipsoid; for each metre of the ground's true height above the ellipsoid, this shortens lengths by 1.6e-7.
     """
 
     latitude_deg: Annotated[tuple[Scalar, ...], LATITUDE]
@@ -115,7 +115,11 @@ def enu(params: WaypointParams) -> np.ndarray:
 
 
 def check_path(params: WaypointParams) -> None:
-    """Check the numbers of the waypoints, and that these are distinct and near each other; raises ConfigError."""
+    """Check the waypoints: their numbers, that all are near the first one, and that consecutive ones differ.
+
+    Raises:
+        ConfigError: A condition does not hold.
+    """
     check_numbers(params)
     points = enu(params)
     distances = np.linalg.norm(points, axis=1)  # from the ground at the first waypoint
@@ -131,7 +135,11 @@ def check_path(params: WaypointParams) -> None:
 
 
 def check_numbers(params: WaypointParams) -> None:
-    """Require at least two waypoints, lists of one length, and finite numbers in range; raises ConfigError."""
+    """Require at least two waypoints, lists of one length, and finite numbers in their ranges.
+
+    Raises:
+        ConfigError: A list is too short or has another length, or a number is out of its range.
+    """
     count = len(params.latitude_deg)
     if count < 2:
         raise ConfigError("latitude_deg", f"must hold at least two waypoints, got {count}")
@@ -150,7 +158,16 @@ def check_numbers(params: WaypointParams) -> None:
 
 
 def require_in_range(name: str, value: float, quantity: Quantity) -> None:
-    """Require a finite number in the range of a quantity; raises ConfigError."""
+    """Require that a number is finite and in the range of a quantity.
+
+    Args:
+        name: Place of the number, for the message.
+        value: The number.
+        quantity: Unit, meaning and range.
+
+    Raises:
+        ConfigError: The number is not.
+    """
     violation = quantity.violated_by(value, value)  # a number is an interval whose ends are equal
     if violation is None and not math.isfinite(value):
         violation = "must be finite"
@@ -251,9 +268,9 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
 
 
 def slowed_step(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
-    """Lengthen the time between two nodes so that the motion keeps its bounds between them, too.
+    """Lengthen the time between two nodes so that the motion keeps its bounds between the nodes, too.
 
-    A motion slowed down by a factor has its speed divided by it, and its acceleration divided by the factor's square.
+    Slowing a motion down by a factor divides its speed by the factor, and its acceleration by the factor's square.
 
     Args:
         step: Time between two nodes [s].
@@ -277,8 +294,8 @@ def slowed_step(step: float, coefficients: np.ndarray, params: WaypointParams) -
 def curve(params: WaypointParams) -> Curve:
     """Compute the table of the motion along the path on the host, before tracing; :func:`at` evaluates it.
 
-    The path gets a motion from rest to rest; position and yaw at equal time steps make the table. Finally the motion is
-    slowed down where the table exceeds the bounds between its nodes.
+    The path gets a motion from rest to rest. Position and yaw at equal time steps make the table. Where the motion of
+    the table exceeds the bounds between its nodes, all of it is slowed down at the end.
 
     Raises:
         ConfigError: Waypoints are too few, repeated or scattered, numbers are out of range, or the speed is impossible.
@@ -303,7 +320,15 @@ def curve(params: WaypointParams) -> Curve:
 
 
 def at(curve: Curve, t: Scalar) -> tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]:
-    """The desired x, y, z [m] and psi [rad] at t [s], in the precision of t; psi is continuous and may pass +-pi."""
+    """The desired x, y, z [m] and psi [rad] at t [s], in the precision of t; psi is continuous and may pass +-pi.
+
+    A Horner scheme evaluates the quintic of the segment in which t lies. Before 0 and after the last segment the first
+    and the last waypoint hold.
+
+    Args:
+        curve: The table of the motion.
+        t: Time [s].
+    """
     dtype = jnp.result_type(t, float)
     step = jnp.asarray(curve.step, dtype)
     phase = jnp.clip(jnp.asarray(t, dtype) / step, 0, curve.coefficients.shape[0] - 1)

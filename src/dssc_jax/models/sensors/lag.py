@@ -25,7 +25,7 @@ class LagState(NamedTuple):
 
 
 def lag_init(params: SensorLagParams, measurement: Measurement, key: jax.Array) -> LagState:
-    """The state at the first measurement, which the sensor shows as if it had been constant before."""
+    """The state at the first measurement, which the sensor shows as if this measurement had been constant before."""
     return LagState(true=measurement, shown=measurement)
 
 
@@ -34,13 +34,20 @@ def lag_step(
 ) -> tuple[LagState, Measurement]:
     """The next state and the reading z, by the exact solution of mu z' = y - z for y linear between the samples.
 
-    So a mu far below T_s shows y itself, and not the y of the sample before.
+    With a mu far below T_s, the sensor therefore shows y itself, and not the y of the sample before. ``key`` and ``t``
+    are arguments of every sensor; a lag does not use them.
     """
     relative_time = dt / params.mu
     step_response = -jnp.expm1(-relative_time)  # 1 - exp(-dt/mu)
 
     def filtered_value(value: Scalar, previous: Scalar, shown: Scalar) -> Scalar:
-        """The reading of a true value, from the true value and the reading at the sample before."""
+        """The reading at this sample.
+
+        Args:
+            value: The true value at this sample.
+            previous: The true value at the sample before.
+            shown: The reading at the sample before.
+        """
         ramp_lag = (value - previous) * step_response / relative_time
         return value - ramp_lag + (shown - previous) * (1.0 - step_response)
 

@@ -15,8 +15,8 @@ from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Measurement, Scalar
 from dssc_jax.core.smoothness import MEAN_GAIN, SMOOTH, Smoothness, not_smooth
 
-EXTRA = 2  # index of the random numbers of losses and jitter; 0 and 1 are the noise's
-MOST_DELAY = 200  # samples; each costs two scalars of the state, which are copied at every sample
+EXTRA = 2  # index of the random numbers of losses and jitter; the noise has 0 and 1
+MOST_DELAY = 200  # each sample of delay costs two scalars of the state, which are copied at every sample
 POSITION_STD = Quantity("y", "standard deviation of the noise on y", at_least=0.0, leading=True)
 VELOCITY_STD = Quantity("y/s", "standard deviation of the noise on y'", at_least=0.0)
 POSITION_BIAS = Quantity("y", "constant error of y")
@@ -32,8 +32,8 @@ PERIOD = Quantity("1", "controller samples from one reading to the next", at_lea
 class NoisyParams(NamedTuple):
     """A sensor with white Gaussian noise, constant errors, a delay and its own sampling period.
 
-    A reading may also be taken early by a random time (``jitter``), be rounded to a resolution, or be lost, so that the
-    last one stays. An absent number leaves its effect out of the program.
+    A reading may also be older than its sample by a random time (``jitter``), be rounded to a resolution, or be lost,
+    so that the last reading stays. A number that is None leaves its effect out of the program.
 
     Delay and period are whole numbers of samples without laws, because they determine the shape of the state.
     """
@@ -54,10 +54,10 @@ class NoisyState(NamedTuple):
     """What the sensor remembers from one sample to the next.
 
     Args:
-        age: Controller samples since the last reading was due.
-        held: The last reading.
+        age: Number of controller samples since the last reading was due.
+        held: The last reading that was received.
         queue: Readings that the delay holds back, oldest first.
-        previous: The true measurement at the last sample, alone in a tuple; () without jitter.
+        previous: A tuple with the true measurement at the last sample; () without jitter.
     """
 
     age: Scalar
@@ -67,7 +67,11 @@ class NoisyState(NamedTuple):
 
 
 def sample_count(name: str, value: object) -> int:
-    """The value of the field ``name`` as a whole number of samples; raises ConfigError."""
+    """The value of the field ``name`` as a whole number of samples.
+
+    Raises:
+        ConfigError: The value has a law or is swept, or is no whole number.
+    """
     if not isinstance(value, int | float):
         raise ConfigError(name, "decides the shape of the state: must be a plain number, neither law nor swept")
     if not float(value).is_integer():
@@ -76,14 +80,24 @@ def sample_count(name: str, value: object) -> int:
 
 
 def prepare(params: NoisyParams) -> NoisyParams:
-    """The parameters themselves, whose delay and period must be whole numbers of samples; raises ConfigError."""
+    """The parameters themselves, whose delay and period must be whole numbers of samples.
+
+    Raises:
+        ConfigError: One of them is not whole, or has a law.
+    """
     sample_count("delay_samples", params.delay_samples)
     sample_count("period_samples", params.period_samples)
     return params
 
 
 def reading(params: NoisyParams, measurement: Measurement, key: jax.Array) -> Measurement:
-    """A new reading of a measurement: with constant errors and noise, rounded to the resolution."""
+    """A new reading of a measurement: with constant errors and noise, rounded to the resolution.
+
+    Args:
+        params: Errors, noise and resolution.
+        measurement: The true measurement.
+        key: Random key of the sample.
+    """
     position_noise, velocity_noise = standard_normals(key, 2)
     y = measurement.y + params.position_bias + params.position_std * position_noise
     y_dot = measurement.y_dot + params.velocity_bias + params.velocity_std * velocity_noise
@@ -121,7 +135,10 @@ def aged_reading(present: Measurement, previous: Measurement, age: Scalar, dt: S
 
 
 def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) -> NoisyState:
-    """The state at the first measurement: a reading of it fills the queue, and a new one is due."""
+    """The state at the first measurement.
+
+    A reading of this measurement fills the queue, and the first sample takes a new reading.
+    """
     first = reading(params, measurement, key)
     period = sample_count("period_samples", params.period_samples)
     return NoisyState(
@@ -135,9 +152,10 @@ def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) ->
 def noisy_step(
     params: NoisyParams, state: NoisyState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[NoisyState, Measurement]:
-    """The next state, and the reading that was taken ``delay_samples`` ago, which the controller gets.
+    """The next state, and the reading that the controller gets, which was taken ``delay_samples`` ago.
 
-    A new reading is taken at a sample if one is due there and is not lost; else the last reading stays.
+    A new reading is taken at a sample if one is due there and is not lost; else the last reading stays. The time ``t``
+    is not used.
     """
     is_due = state.age > sample_count("period_samples", params.period_samples) - 0.5  # age is a whole number
     measured = measurement  # what a new reading measures
@@ -165,15 +183,15 @@ def noisy_step(
 
 
 def largest_value(number: Scalar | None) -> float:
-    """The largest value of a parameter's law; 0 if the parameter is absent, None."""
+    """The largest value of a parameter's law; 0 if the parameter is None."""
     return 0.0 if number is None else extent(number)[1]
 
 
 def noisy_smoothness(params: NoisyParams) -> Smoothness:
-    """Where the sensor has a derivative: everywhere, unless it has a period of its own, losses, jitter or a resolution.
+    """Declare where the sensor has a derivative: everywhere without a period, losses, jitter and a resolution.
 
-    A period and losses have none that helps. Jitter and a resolution count as the sensor without a resolution, whose
-    readings have a constant age.
+    With a period of its own or with losses, the sensor has no derivative that is of use. With jitter or a resolution,
+    the sensor without resolution is linearised, and the age of its readings counts as constant.
     """
     if params.period_samples != 1.0:
         return not_smooth(
@@ -191,15 +209,15 @@ def noisy_smoothness(params: NoisyParams) -> Smoothness:
 
 
 def with_mean_gain(params: NoisyParams) -> tuple[Sensor, NoisyParams]:
-    """The part that is linearised in place of a sensor with a resolution: the sensor without it.
+    """The part that is linearised in place of a sensor with a resolution: the sensor without resolution.
 
-    It stands for signals that are large compared with the resolution.
+    It stands for a sensor whose signals are large compared with the resolution.
     """
     return NOISY, params._replace(position_resolution=None, velocity_resolution=None)
 
 
 def is_transparent(params: NoisyParams) -> bool:
-    """Whether every reading is one of the present sample: without delay, period, losses and jitter."""
+    """Whether every reading is one of the present sample: the sensor has no delay, period, losses or jitter."""
     is_timely = largest_value(params.delay_samples) == 0.0 and largest_value(params.period_samples) <= 1.0
     return is_timely and largest_value(params.loss) == 0.0 and largest_value(params.jitter) == 0.0
 

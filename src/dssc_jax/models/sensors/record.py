@@ -22,7 +22,10 @@ AHEAD = 0.01  # share of a step by which each value begins early, because t = k 
 
 
 class RecordedNoiseParams(NamedTuple):
-    """The recorded noise of a sensor; a study file has ``file`` and the ``columns`` of y and y' instead."""
+    """The recorded noise of a sensor.
+
+    A study file gives ``file`` and the ``columns`` of y and y' in place of these fields.
+    """
 
     time: Annotated[Values, TIMES]
     position: Annotated[Values, Quantity("y", "noise on y at these times", law=False, data=True)]
@@ -30,9 +33,9 @@ class RecordedNoiseParams(NamedTuple):
 
 
 class RecordedNoise(NamedTuple):
-    """Noise on y (``position``) and y' (``velocity``) as functions of time, and the record's length [s].
+    """Noise on y (``position``) and y' (``velocity``) as functions of time, and the record's ``length`` [s].
 
-    The length includes a step after the last value.
+    The length includes the step during which the last value holds.
     """
 
     position: Pieces
@@ -48,9 +51,12 @@ class NoiseStart(StrEnum):
 
 
 def prepare(params: RecordedNoiseParams) -> RecordedNoise:
-    """The record as functions of time, shifted so that the first value is at t = 0; raises ConfigError.
+    """The record as functions of time, shifted so that the first value is at t = 0.
 
     Each value begins a little early, because the times k T_s of samples are rounded.
+
+    Raises:
+        ConfigError: The times do not rise, are too few or too many, or do not have one value each in both columns.
     """
     columns = {"position": params.position, "velocity": params.velocity}
     pieces = columns_as_pieces(params.time, columns, Interpolation.HOLD)
@@ -67,9 +73,11 @@ def step(
 ) -> tuple[Scalar, Measurement]:
     """The state, and the measurement with the record's noise added.
 
-    The state is the time of the record at which the draw began [s]; it stays. The record is repeated after its end.
+    The state is the time of the record at which the draw began [s]; it stays. The record is repeated after its end. The
+    random ``key`` and ``dt`` are not used, because the record determines the noise.
     """
     at = start_time + t
+    # a repetition begins as early as a value does: by the share AHEAD of a step
     repetitions = jnp.floor(at / noise.length + AHEAD / len(noise.position.begins))
     at = at - noise.length * repetitions
     position = piece_at(noise.position, at).y
@@ -78,7 +86,11 @@ def step(
 
 
 def recorded_sensor(start: NoiseStart) -> Sensor:
-    """Make the sensor whose noise is a record with held values, at its first value or at a random time of it."""
+    """Make the sensor whose noise is a record with held values.
+
+    Args:
+        start: Whether the noise begins at the record's first value, or at a random time of the record.
+    """
 
     def init(noise: RecordedNoise, measurement: Measurement, key: jax.Array) -> Scalar:
         """The time of the record at which the draw begins [s]."""

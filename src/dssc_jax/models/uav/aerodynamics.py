@@ -1,7 +1,8 @@
 """Drag of structure and propellers (Appendix A).
 
-F_di = -K_Fdi |thetadot_i| (v_i - v_w) with v_i = v + R (Omega x p_bi). Summed over rotors only the moments of the
-speeds matter: sum w_i, sum w_i p_i and sum w_i p_i p_i^T, w_i = |thetadot_i|.
+The drag of propeller i is F_di = -K_Fdi |thetadot_i| (v_i - v_w) with v_i = v + R (Omega x p_bi). For equal rotors the
+sum over the rotors depends on three moments of the speeds w_i = |thetadot_i| alone: sum w_i, sum w_i p_i and
+sum w_i p_i p_i^T.
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,7 @@ def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speed
         speeds: |thetadot_i| of each rotor [rad/s].
     """
     in_body = rotation.transpose @ air_velocity
-    structure = Vec3(*vehicle.structure_drag) * (-air_velocity.norm())  # structure's force per velocity, by axis
+    structure = Vec3(*vehicle.structure_drag) * (-air_velocity.norm())  # force on the structure per velocity, by axis
     if vehicle.rotor:
         propellers, torque = drag_of_rotors(vehicle, rate, in_body, speeds)
         return Drag(rotation @ (in_body.scale(structure) + propellers), torque)
@@ -73,7 +74,12 @@ def speed_moments(vehicle: Vehicle, speeds: tuple[Scalar, ...]) -> SpeedMoments:
     first = Vec3(lever * dot(x, speeds), lever * dot(y, speeds), 0.0)
 
     def second_moment(a: Sequence[float], b: Sequence[float]) -> Scalar:
-        """The entry of the second moment for two directions of the rotors' places, on an arm of length 1."""
+        """An entry of the second moment.
+
+        Args:
+            a: One coordinate of each rotor's place, for an arm of length 1.
+            b: The same or the other coordinate.
+        """
         return lever * vehicle.arm * dot([i * j for i, j in zip(a, b, strict=True)], speeds)
 
     return SpeedMoments(total, first, (second_moment(x, x), second_moment(x, y), second_moment(y, y)))

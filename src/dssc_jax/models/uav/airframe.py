@@ -108,9 +108,9 @@ class Airframe(NamedTuple):
 
     Args:
         vehicle: The table ``[plant.vehicle]``.
-        notes: What the file does not give, or gives in another form than the model needs.
+        notes: Sentences on what the file does not give, or gives in another form than the model needs.
         plant: The other entries of ``[plant]``: desaturation and gains of the inner loops.
-        warnings: Numbers outside of the usual range of multirotors, and names of parameters that are misspelt.
+        warnings: Sentences on numbers outside of the usual range of multirotors, and on misspelt names of parameters.
     """
 
     vehicle: TomlTable
@@ -143,14 +143,24 @@ def parameters_in(text: str) -> dict[str, float]:
 
 
 def require_finite(values: Mapping[str, float]) -> None:
-    """Require that every parameter that is read is finite and at most ``LARGEST_PARAMETER``; raises ConfigError."""
+    """Require that every parameter that is read is finite, and of a size of at most ``LARGEST_PARAMETER``.
+
+    Raises:
+        ConfigError: A parameter is not.
+    """
     for name, value in values.items():
         if name.startswith(PREFIXES) and not abs(value) <= LARGEST_PARAMETER:
             raise ConfigError(name, f"must be a finite number of at most {LARGEST_PARAMETER:g}, got {value:g}")
 
 
 def note_unmatched_gains(parameters: Mapping[str, float], used_gains: tuple[str, ...], notes: list[str]) -> None:
-    """Add a note that names the gains of the file without a counterpart in the model, all but ``used_gains``."""
+    """Add a note that names the gains of the file without a counterpart in the model.
+
+    Args:
+        parameters: The file's parameters.
+        used_gains: Names of the gains that have a counterpart.
+        notes: The list to which the note is added.
+    """
     gains = [name for name in parameters if GAIN.fullmatch(name) and name not in used_gains]
     if gains:
         notes.append(f"left out, without a counterpart here: {', '.join(sorted(gains))}")
@@ -171,7 +181,10 @@ def note_unused_limits(parameters: Mapping[str, float], use_px4_cascade: bool, n
 
 
 def missing_coordinates(parameters: Mapping[str, float]) -> list[str]:
-    """Warn if the file gives a coordinate for some rotors only; the others get 0, PX4's default."""
+    """Warn of coordinates that the file gives for some rotors only; PX4's default for the others is 0.
+
+    A coordinate that no rotor has is 0 for all, and needs no warning.
+    """
     missing = []
     count = int(parameters["CA_ROTOR_COUNT"])
     for axis in "XYZ":
@@ -185,7 +198,12 @@ def missing_coordinates(parameters: Mapping[str, float]) -> list[str]:
 
 
 def cascade_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTable:
-    """Make the table ``[plant.inner_loop]`` of PX4's cascade with the file's gains; notes say what it leaves out."""
+    """Make the table ``[plant.inner_loop]`` of PX4's cascade with the file's gains.
+
+    Args:
+        parameters: The file's parameters.
+        notes: The list to which notes on what the table leaves out are added.
+    """
     gains = gains_from(parameters)
     if parameters.get(LOOP_RATE, 0.0) > 0.0:
         gains["frequency"] = parameters[LOOP_RATE]
@@ -201,9 +219,13 @@ def cascade_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTabl
 def article_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTable:
     """Make the table ``[plant.inner_loop]`` of the article's inner loop, with the gains that the file sets.
 
-    MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are the model's gains. PX4 makes an error of roll into a desired rate, p =
-    MC_ROLL_P times the error. The model's attitude loop is of second order; with k_p/k_d = p and a double pole it has
-    k_d = 4 p and k_p = 4 p^2.
+    MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are gains of the model, too. PX4 turns an error of roll into a desired rate by
+    the factor p = MC_ROLL_P, whereas the model's attitude loop is of second order. With k_p/k_d = p and a double pole,
+    its gains are k_d = 4 p and k_p = 4 p^2.
+
+    Args:
+        parameters: The file's parameters.
+        notes: The list to which notes are added.
     """
     gains: TomlTable = {}
     if "MPC_XY_VEL_P_ACC" in parameters:
@@ -218,7 +240,9 @@ def article_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTabl
 
 
 def control_entries(parameters: Mapping[str, float], notes: list[str], use_px4_cascade: bool) -> TomlTable:
-    """Make the entries of ``[plant]`` for the desaturation, by default that of MC_AIRMODE = 0, and for the inner loop.
+    """Make the entries of ``[plant]`` for the desaturation and for the inner loop.
+
+    MC_AIRMODE, by default 0, chooses the desaturation.
 
     Args:
         parameters: The file's parameters.
@@ -245,10 +269,12 @@ def airframe_of(
     use_px4_cascade: bool,
     hover_speed: float | None,
 ) -> Airframe:
-    """The study's tables for PX4's parameters by name, without a check of the names; see :func:`read_airframe`.
+    """The study's tables for PX4's parameters by name; arguments as for :func:`read_airframe`.
+
+    This function does not look for misspelt names.
 
     Raises:
-        ConfigError: The file gives no mass, or describes something that the model cannot represent.
+        ConfigError: The parameters give no mass, or describe something that the model cannot represent.
     """
     notes: list[str] = []
     parameters = with_simulation_defaults(parameters, notes)
@@ -297,9 +323,8 @@ def read_airframe(
     Args:
         text_or_parameters: The file's text, or parameters by name.
         mass: Mass of the vehicle [kg]; None: the file's.
-        arm: Length of an arm [m], for positions that are ratios; positions in metres are multiplied by it, too. None:
-            the positions of PX4's generic airframes are ratios of SIH_L_PITCH and SIH_L_ROLL in the file, and other
-            positions are in metres.
+        arm: Length of an arm [m], by which all positions are multiplied. None: the positions of PX4's generic airframes
+            are ratios of SIH_L_PITCH and SIH_L_ROLL in the file, and other positions are in metres.
         use_px4_cascade: Whether the inner loop is PX4's cascade with the file's gains, and not the article's.
         hover_speed: Mean speed of the rotors in hover [rad/s], which no parameter of PX4 gives. None: it is not known,
             and the vehicle's coefficients are nominal.

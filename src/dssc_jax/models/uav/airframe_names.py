@@ -1,4 +1,4 @@
-"""Names in PX4 files: slips of the keys in names of parameters, and files of frames that are no multirotor."""
+"""Names in PX4 files: parameters whose names are misspelt, and files of frames that are no multirotor."""
 
 import re
 from collections.abc import Collection, Iterable
@@ -24,7 +24,11 @@ FRAME = re.compile(
 
 
 def require_multirotor(text: str) -> None:
-    """Require that no line of a start-up script makes its vehicle another than a multirotor; raises ConfigError."""
+    """Require that no line of a start-up script declares another vehicle than a multirotor.
+
+    Raises:
+        ConfigError: A line does; the message quotes it.
+    """
     line = FRAME.search(text)
     if line is None:
         return
@@ -33,20 +37,25 @@ def require_multirotor(text: str) -> None:
 
 
 def shortened(name: str) -> set[str]:
-    """The names with one character less."""
+    """All names that result when one character is left out."""
     return {name[:i] + name[i + 1 :] for i in range(len(name))}
 
 
 def exchanged(name: str) -> set[str]:
-    """The names with two neighbouring characters exchanged."""
+    """All names that result when two neighbouring characters are exchanged."""
     return {name[:i] + name[i + 1] + name[i] + name[i + 2 :] for i in range(len(name) - 1)}
 
 
 def misspelt_names(names: Collection[str], known: Iterable[str]) -> list[str]:
-    """What to tell of each name that is not known, but becomes a known one by a slip of the keys.
+    """A sentence for each unknown name that a single typing error may have made of a known one.
 
-    A slip is a character too many or too few, or two neighbours exchanged. Another character in place of one is none:
-    names of PX4 differ by that. Where several known names are near, those that do not occur come first.
+    A typing error is one character too many or too few, or two neighbouring characters exchanged. A wrong character
+    does not count, because names of PX4 differ from each other by a single character. Of several near known names, only
+    those that are not among ``names`` are told; all are, if all are among them.
+
+    Args:
+        names: The names to check.
+        known: The known names.
 
     Example:
         >>> misspelt_names(["MPC_THR_HOVR", "MPC_THR_MAX"], ["MPC_THR_HOVER", "MPC_THR_MAX", "MPC_THR_MIN"])

@@ -44,6 +44,10 @@ SIMULATION_PARAMETERS = ("SIH_VEHICLE_TYPE", *SIH_DEFAULTS, *PRODUCTS, "MPC_THR_
 def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> None:
     """Require a mass, and arm lengths if the rotors' positions are ratios.
 
+    Args:
+        rotors: The rotors.
+        parameters: The file's parameters.
+
     Raises:
         ConfigError: The mass is not positive, or sizes are missing; the message names all that are missing.
     """
@@ -59,12 +63,18 @@ def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) ->
 
 
 def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) -> list[float]:
-    """Return the moments of inertia [kg m^2]; those that the file lacks are estimated from mass and arm [m].
+    """The moments of inertia [kg m^2]; a moment that the file lacks is estimated from mass and arm.
 
     An estimate adds a note.
 
+    Args:
+        parameters: The file's parameters.
+        arm: Length of an arm [m].
+        notes: The list to which a note is added.
+
     Raises:
-        ConfigError: A stated one is not positive, or no body has the stated ones and the estimates together.
+        ConfigError: A stated moment is not positive; or one moment is larger than the sum of the others, which no body
+            has, and an estimate is among them.
     """
     missing = [name for name in INERTIA if name not in parameters]
     for name in set(INERTIA).difference(missing):
@@ -89,7 +99,10 @@ def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) 
 
 
 def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str]) -> TomlTable:
-    """Entries of the vehicle for a rotor's largest thrust, and for the torque that belongs to it if the file has both.
+    """Entries of the vehicle for a rotor's largest thrust, and for its torque over thrust if the file has both.
+
+    Without SIH_T_MAX the largest thrust follows from the hover command MPC_THR_HOVER; without either, it is twice the
+    thrust in hover.
 
     Args:
         parameters: The file's parameters.
@@ -117,7 +130,12 @@ def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str
 
 
 def contradicted_hover(parameters: Mapping[str, float], geometry: TomlTable) -> list[str]:
-    """Warn of a hover command MPC_THR_HOVER that is far from the one by mass and largest thrust SIH_T_MAX."""
+    """Warn of a hover command MPC_THR_HOVER that contradicts mass and largest thrust SIH_T_MAX.
+
+    Args:
+        parameters: The file's parameters.
+        geometry: Entries of the vehicle that place its rotors.
+    """
     if not {"SIH_T_MAX", "MPC_THR_HOVER"} <= set(parameters):
         return []
     by_thrust = hover_thrust(parameters, geometry) / parameters["SIH_T_MAX"]
@@ -131,12 +149,16 @@ def contradicted_hover(parameters: Mapping[str, float], geometry: TomlTable) -> 
 
 
 def rotors_of(geometry: TomlTable) -> int:
-    """Count the rotors that entries of the vehicle place: in a list, or on a circle."""
+    """The number of rotors that entries of the vehicle place, in a list or on a circle."""
     return len(geometry.get("rotor") or geometry["spins"])
 
 
 def hover_thrust(parameters: Mapping[str, float], geometry: TomlTable) -> float:
     """Compute the mean thrust of the rotors in hover [N]; tilted rotors push more than they lift.
+
+    Args:
+        parameters: The file's parameters, with the mass.
+        geometry: Entries of the vehicle that place its rotors.
 
     Raises:
         ConfigError: The rotors cannot command all axes.
@@ -147,7 +169,9 @@ def hover_thrust(parameters: Mapping[str, float], geometry: TomlTable) -> float:
 
 
 def drag_entries(parameters: Mapping[str, float], speeds: float, notes: list[str]) -> TomlTable:
-    """Make the vehicle's entries for the drag: SIH_KDV v, as the propellers have it in hover.
+    """Make the vehicle's entries for the drag, which is SIH_KDV v in hover.
+
+    The drag is that of the propellers, whose coefficient is SIH_KDV over the sum of the rotors' speeds.
 
     Args:
         parameters: The file's parameters.
@@ -165,10 +189,10 @@ def drag_entries(parameters: Mapping[str, float], speeds: float, notes: list[str
 def coefficient_entries(
     parameters: Mapping[str, float], lift: float, hover_speed: float | None, notes: list[str]
 ) -> TomlTable:
-    """Make the vehicle's thrust coefficient, and tell whether its coefficients are those of the rotors.
+    """Make the vehicle's thrust coefficient, and tell whether its coefficients are true or nominal.
 
-    They are if both the speed and, by SIH_Q_MAX and SIH_T_MAX, the torque are known. CA_ROTORi_KM is what the
-    allocation assumes.
+    Thrust and torque coefficients are true if the rotors' speed in hover is known and if SIH_Q_MAX and SIH_T_MAX give
+    the torque. Otherwise they are nominal: a torque from CA_ROTORi_KM, for example, is an assumption of the allocation.
 
     Args:
         parameters: The file's parameters.
@@ -232,10 +256,12 @@ def properties_of(
 
 
 def with_simulation_defaults(parameters: dict[str, float], notes: list[str]) -> dict[str, float]:
-    """Add PX4's defaults of the simulation in hardware, with a note, if the file is one for it.
+    """Add PX4's defaults of the simulation in hardware, with a note, if the file is one for that simulation.
+
+    A file for the simulation in hardware sets SIH_VEHICLE_TYPE.
 
     Raises:
-        ConfigError: It is one of another vehicle than a multirotor.
+        ConfigError: The file is for another vehicle than a multirotor.
     """
     if "SIH_VEHICLE_TYPE" not in parameters:
         return parameters
@@ -253,7 +279,14 @@ def with_simulation_defaults(parameters: dict[str, float], notes: list[str]) -> 
 def with_stated_sizes(
     parameters: dict[str, float], mass: float | None, arm: float | None, notes: list[str]
 ) -> dict[str, float]:
-    """Replace the file's mass [kg] and arm [m] by the stated ones; None: it is not stated."""
+    """The parameters with the stated mass and arm in place of the file's.
+
+    Args:
+        parameters: The file's parameters.
+        mass: Mass [kg]; None: the file's stays.
+        arm: Length of an arm [m]; None: the file's lengths stay.
+        notes: The list to which a note is added if the masses differ.
+    """
     stated_values = {}
     if mass is not None:
         stated_values["SIH_MASS"] = mass
@@ -265,6 +298,9 @@ def with_stated_sizes(
 
 
 def drop_torque_of_single_rotors(vehicle: TomlTable) -> None:
-    """Remove the torque coefficient of each listed rotor, where the simulated plant's coefficient holds for all."""
+    """Remove the torque coefficient of each listed rotor, so that the vehicle's own holds for all rotors.
+
+    The vehicle's coefficient is then that of the simulated plant, from SIH_Q_MAX and SIH_T_MAX.
+    """
     for entry in vehicle.get("rotor", []):
         entry.pop("torque_coefficient")

@@ -57,9 +57,9 @@ class PlacedRotor(NamedTuple):
     """A rotor in the model's axes.
 
     Args:
-        place: Position relative to the centre of mass [m], or as ratios of a generic airframe.
+        place: Position relative to the centre of mass [m]; ratios in files of generic airframes.
         axis: Direction of the thrust.
-        moment: CA_ROTORi_KM, the torque over the thrust with the sign of the spin [m].
+        moment: CA_ROTORi_KM, the torque over the thrust with PX4's sign of the spin [m].
     """
 
     place: tuple[float, float, float]
@@ -68,20 +68,32 @@ class PlacedRotor(NamedTuple):
 
 
 def are_equal(values: list[float], share: float) -> bool:
-    """Whether the values differ from their mean by at most a share of it."""
+    """Whether all values differ from their mean by at most ``share`` times the mean."""
     mean = sum(values) / len(values)
     return all(abs(value - mean) <= share * abs(mean) for value in values)
 
 
 def require_common(values: list[float], subject: str) -> None:
-    """Require that all rotors have the same value of a parameter; raises ConfigError."""
+    """Require that all rotors have the same value of a parameter, up to ``SIMILAR``.
+
+    Args:
+        values: The value of each rotor.
+        subject: Name of the parameter, for the message.
+
+    Raises:
+        ConfigError: The values differ by more.
+    """
     if not are_equal(values, SIMILAR):
         values_text = ", ".join(f"{value:g}" for value in values)
         raise ConfigError(subject, f"must be the same for all rotors, which have one largest thrust; got {values_text}")
 
 
 def rotor_count(parameters: Mapping[str, float]) -> int:
-    """The number of rotors of a multirotor with fixed rotors that push one way; raises ConfigError for others."""
+    """The number of rotors of a multirotor with fixed rotors that push one way.
+
+    Raises:
+        ConfigError: The airframe is of another kind, or the number is not from 4 to ``MOST_ROTORS``.
+    """
     if parameters.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
         raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {parameters['CA_AIRFRAME']:g}")
     for name, reason in REFUSED.items():
@@ -96,7 +108,11 @@ def rotor_count(parameters: Mapping[str, float]) -> int:
 
 
 def require_places(parameters: Mapping[str, float], count: int) -> None:
-    """Require a horizontal coordinate of each of ``count`` rotors, if one has any; raises ConfigError."""
+    """Require that each of ``count`` rotors has a horizontal coordinate, if at least one of them has any.
+
+    Raises:
+        ConfigError: Some rotors have a coordinate and others have none; the message names the others.
+    """
     unplaced = []
     for i in range(count):
         if f"CA_ROTOR{i}_PX" not in parameters and f"CA_ROTOR{i}_PY" not in parameters:
@@ -111,7 +127,7 @@ def placed_rotor(parameters: Mapping[str, float], index: int) -> PlacedRotor:
     """Rotor ``index``, from 0, turned from PX4's axes (forward, right, down) to the model's (forward, left, up).
 
     Raises:
-        ConfigError: Its axis is zero.
+        ConfigError: The rotor's axis is zero.
     """
     name = f"CA_ROTOR{index}"
     ax, ay, az = (parameters.get(f"{name}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
@@ -119,14 +135,19 @@ def placed_rotor(parameters: Mapping[str, float], index: int) -> PlacedRotor:
     if not (ax or ay or az):
         raise ConfigError(f"{name}_AX, _AY, _AZ", "must not all be 0")
     return PlacedRotor(
-        place=(px, -py + 0.0, -pz + 0.0),  # -0.0 becomes 0.0
+        place=(px, -py + 0.0, -pz + 0.0),  # + 0.0 turns -0.0 into 0.0
         axis=(ax, -ay + 0.0, -az + 0.0),
         moment=parameters.get(f"{name}_KM", MOMENT_COEFFICIENT),
     )
 
 
 def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
-    """The rotors that CA_ROTOR_COUNT and CA_ROTORi_ describe; raises ConfigError."""
+    """The rotors that CA_ROTOR_COUNT and CA_ROTORi_ describe.
+
+    Raises:
+        ConfigError: The airframe is no multirotor of the model, a rotor has no place or no axis, all rotors are at the
+            centre, or their thrust coefficients differ.
+    """
     count = rotor_count(parameters)
     require_places(parameters, count)
     rotors = [placed_rotor(parameters, i) for i in range(count)]
@@ -163,7 +184,7 @@ def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
 
 
 def vehicle_of(table: TomlTable) -> Vehicle:
-    """The vehicle of the table ``[plant.vehicle]``, or of some of its entries; the others are an M600's."""
+    """The vehicle of the table ``[plant.vehicle]``, or of some of its entries; ``QUADROTOR`` has the missing ones."""
     values = {name: value for name, value in table.items() if name in Vehicle._fields and name != "rotor"}
     common = {"torque_coefficient": table["torque_coefficient"]}  # of rotors that state none
     rotors = tuple(Rotor(**(common | entry)) for entry in table.get("rotor", ()))
@@ -173,7 +194,10 @@ def vehicle_of(table: TomlTable) -> Vehicle:
 
 @contextmanager
 def errors_in_px4_names(parameters: Mapping[str, float]) -> Iterator[None]:
-    """Put PX4's names of parameters into every error about a vehicle that is raised inside.
+    """In every error about a vehicle that is raised inside, replace names of fields by PX4's names of parameters.
+
+    Args:
+        parameters: PX4's parameters; the message names the rotors that have a default in place of one.
 
     Raises:
         ConfigError: The error raised inside, with PX4's names.
@@ -194,7 +218,7 @@ def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle
         parameters: PX4's parameters from which the table was made.
 
     Raises:
-        ConfigError: It cannot; the message has PX4's names of the parameters.
+        ConfigError: The vehicle cannot do so; the message has PX4's names of the parameters.
     """
     vehicle = vehicle_of(table)
     with errors_in_px4_names(parameters):
@@ -212,7 +236,10 @@ def default_text(parameters: Mapping[str, float]) -> str:
 
 
 def are_ratios(rotors: list[PlacedRotor]) -> bool:
-    """Whether the rotors' positions are ratios of a generic airframe, and not metres."""
+    """Whether the rotors' positions are ratios of a generic airframe, and not metres.
+
+    They are if all horizontal coordinates occur in ``RATIOS``, and the largest one is about 1.
+    """
     coordinates: list[float] = []
     for rotor in rotors:
         coordinates += rotor.place[:2]
@@ -222,7 +249,7 @@ def are_ratios(rotors: list[PlacedRotor]) -> bool:
 def in_metres(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> list[PlacedRotor]:
     """The rotors in metres: ratios of a generic airframe times the arm lengths SIH_L_PITCH and SIH_L_ROLL.
 
-    PX4 has no such length for heights, which take the mean of both.
+    PX4 has no such length for heights; they are multiplied by the mean of both lengths.
     """
     forward = parameters["SIH_L_PITCH"]
     lateral = parameters["SIH_L_ROLL"]

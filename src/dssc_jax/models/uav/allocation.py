@@ -29,7 +29,7 @@ class Thrusts(NamedTuple):
 def geometry(vehicle: Vehicle) -> np.ndarray:
     """The matrix from the rotors' thrusts to net thrust and moments (f, M_x, M_y, M_z), shape (4, n_r).
 
-    It is nominal: laws count with their medians.
+    The matrix is nominal: laws count with their medians.
     """
     if vehicle.rotor:
         return wrench_matrix(vehicle)[2:]  # without the two components of the force across body z
@@ -41,7 +41,7 @@ def geometry(vehicle: Vehicle) -> np.ndarray:
 def wrench_matrix(vehicle: Vehicle) -> np.ndarray:
     """The matrix from the thrusts of rotors anywhere to force and moment, shape (6, n_r).
 
-    Its rows are F_x, F_y, F_z, M_x, M_y, M_z in body axes. It is nominal: laws count with their medians.
+    Its rows are F_x, F_y, F_z, M_x, M_y, M_z in body axes. The matrix is nominal: laws count with their medians.
     """
     coefficients = [nominal(value) for value in vehicle.torque_coefficients]
     columns = []
@@ -53,11 +53,11 @@ def wrench_matrix(vehicle: Vehicle) -> np.ndarray:
 
 
 def without_side_force(inverse: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """The allocation of the same net thrust and moments with the least force across body z, and then the least norm.
+    """The allocation with the same net thrust and moments that has the least force across body z.
 
-    Thrusts that change neither net thrust nor moments are free; they are chosen to cancel the side force. Where the
-    rotors can produce all six components of force and moment, this is the pseudo-inverse of all six with no side force
-    wanted, as PX4 allocates.
+    Thrusts that change neither net thrust nor moments are free, and are chosen to cancel the side force; of several
+    such choices, the one with the least norm is taken. Where the rotors can produce all six components of force and
+    moment, this is the pseudo-inverse of all six with no side force wanted, as PX4 allocates.
 
     Args:
         inverse: The pseudo-inverse of the matrix of :func:`geometry`, shape (n_r, 4).
@@ -76,9 +76,9 @@ def without_side_force(inverse: np.ndarray, vehicle: Vehicle) -> np.ndarray:
 
 
 def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
-    """The nominal allocation: for each rotor the row from net thrust and moments (f, M_x, M_y, M_z) to its thrust f_i.
+    """The nominal allocation, from net thrust and moments (f, M_x, M_y, M_z) to the rotors' thrusts, shape (n_r, 4).
 
-    Entries that are 0 up to rounding are 0.
+    Each row belongs to a rotor. Entries that are 0 up to rounding are 0.
 
     Raises:
         ConfigError: The rotors cannot command thrust, roll, pitch and yaw independently.

@@ -20,8 +20,8 @@ SMALLEST_PART = 1e-6  # smallest entry of a combination of axes with which an ax
 def unchanged_combinations(matrix: np.ndarray) -> np.ndarray:
     """The combinations of net thrust and moments that no thrusts of the rotors can change.
 
-    They are vectors of length 1 over (f, M_x, M_y, M_z), shape (4 - rank, 4); there are none if the rotors command all
-    four independently.
+    A combination is a vector of length 1 over (f, M_x, M_y, M_z); the result has the shape (4 - rank, 4). It is empty
+    if the rotors command all four independently.
 
     Args:
         matrix: Matrix from thrusts to (f, M_x, M_y, M_z), shape (4, n_r); its rows are scaled to length 1.
@@ -55,7 +55,7 @@ def require_independent_axes(vehicle: Vehicle, matrix: np.ndarray) -> None:
         matrix: Nominal matrix from thrusts to (f, M_x, M_y, M_z), shape (4, n_r).
 
     Raises:
-        ConfigError: They do not; the message names the axes and a remedy.
+        ConfigError: The rotors cannot; the message names the axes and a remedy.
     """
     dependent = dependent_axes(matrix)
     if not dependent:
@@ -72,7 +72,11 @@ def require_independent_axes(vehicle: Vehicle, matrix: np.ndarray) -> None:
 
 
 def yaw_remedy(matrix: np.ndarray) -> str:
-    """Advice for a vehicle that cannot command its yaw, from the matrix from thrusts to (f, M_x, M_y, M_z)."""
+    """Advice for a vehicle that cannot command its yaw.
+
+    Args:
+        matrix: Matrix from thrusts to (f, M_x, M_y, M_z), shape (4, n_r).
+    """
     yaw_moments = matrix[3]
     if not yaw_moments.any():
         return "no rotor has a moment about body z: give torque_coefficient, or tilt axes across the arms"
@@ -110,7 +114,12 @@ def require_hover(vehicle: Vehicle, allocation: np.ndarray) -> None:
 
 
 def pulling_remedy(vehicle: Vehicle, pulling: np.ndarray) -> str:
-    """Advice for a vehicle whose hover needs negative thrusts of some rotors, whose indices are ``pulling``."""
+    """Advice for a vehicle whose hover needs negative thrusts of some rotors.
+
+    Args:
+        vehicle: The vehicle.
+        pulling: Indices of these rotors.
+    """
     downward = [i for i, rotor in enumerate(vehicle.rotor) if nominal(rotor.axis[2]) < 0.0]
     if len(downward) == vehicle.rotors:
         return "all axes point down; the axis of a rotor that lifts points up, also where it is mounted upside down"
@@ -131,7 +140,8 @@ def largest_accelerations(vehicle: Vehicle, inverse: np.ndarray) -> dict[str, fl
     """
     weight = nominal(vehicle.mass) * GRAVITY
     hover_thrusts = weight * inverse[:, 0]
-    reserve = np.minimum(hover_thrusts, vehicle.nominal_thrust_limit - hover_thrusts)  # to fall and to rise by
+    # what each rotor's thrust can both fall and rise by
+    reserve = np.minimum(hover_thrusts, vehicle.nominal_thrust_limit - hover_thrusts)
     accelerations = {}
     body_inertia = [nominal(value) for value in vehicle.body_inertia]
     transverse = nominal(vehicle.rotor_inertia_xy)

@@ -1,12 +1,12 @@
 """A battery: its voltage falls with its charge and with the current, and with it the speed of all rotors.
 
-At the share s of its charge Q the battery at rest has the voltage V_0 = V_e + (V_f - V_e) s, and V = V_0 - R I under
-the current I. The speeds w_i that are commanded are those at the full voltage V_f; the rotors turn at r w_i, r = V/V_f.
-They take the power V I = r^3 P, P = sum of c_tau,i k_T,i w_i^3/eta. Therefore R P r^2/V_f + V_f r - V_0 = 0, and
-s' = -I/Q. A battery without charge gives no voltage and no current.
+With the share s of its charge Q left, the battery has the voltage V_0 = V_e + (V_f - V_e) s at rest, and V = V_0 - R I
+under the current I. The commanded speeds w_i are those at the full voltage V_f; the rotors turn at r w_i with
+r = V/V_f. The rotors take the power V I = r^3 P, where P = sum of c_tau,i k_T,i w_i^3/eta. Therefore
+R P r^2/V_f + V_f r - V_0 = 0, and s' = -I/Q. A battery without charge gives no voltage and no current.
 
-A hover power P_h in place of eta gives P = P_h times that sum over the sum in hover. Then P depends on thrusts alone:
-a common factor of all k_T or of all c_tau cancels.
+If a hover power P_h is given in place of eta, P is P_h times the sum of c_tau,i k_T,i w_i^3 over its value in hover.
+Then P depends on thrusts alone: a common factor of all k_T or of all c_tau cancels.
 """
 
 from collections.abc import Sequence
@@ -46,11 +46,11 @@ class Supply(NamedTuple):
 
 
 def checked_battery(battery: Battery, vehicle: Vehicle) -> Battery:
-    """The battery itself, whose power must be known.
+    """The battery itself, if it states the power that the rotors take.
 
     Raises:
-        ConfigError: Not exactly one of ``efficiency`` and ``hover_power`` is given, or the efficiency stands beside
-            nominal coefficients of the rotors.
+        ConfigError: Not exactly one of ``efficiency`` and ``hover_power`` is given, or an efficiency is given and the
+            coefficients of the rotors are nominal, so that their power is not known.
     """
     if (battery.efficiency is None) == (battery.hover_power is None):
         raise ConfigError("battery", "needs either efficiency, or hover_power in watts")
@@ -78,7 +78,7 @@ def rotor_power(
 
 
 def supply(battery: Battery, charge: Scalar, power: Scalar) -> Supply:
-    """Voltage and current of a battery that drives the rotors, whose power goes with the cube of the voltage.
+    """Voltage and current of a battery that drives the rotors, whose power is proportional to the voltage's cube.
 
     Args:
         battery: The battery.

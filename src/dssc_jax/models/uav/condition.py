@@ -15,10 +15,10 @@ def voltage_of(condition: Condition | None) -> Scalar:
 
 
 def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> RotorMotion:
-    """The motion of the rotors after events, in which each speed is lower by a factor.
+    """The motion of the rotors after events, which multiply each speed by a factor.
 
-    The factor of a rotor is the root of its effectiveness times the relative voltage: thrust goes with the square of
-    the speed.
+    A rotor's factor is the relative voltage times the square root of the rotor's share of thrust, because thrust goes
+    with the square of the speed.
 
     Args:
         motion: The motion without events.
@@ -33,7 +33,12 @@ def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> Roto
 
 
 def scaled_motion(motion: RotorMotion, factors: Sequence[Scalar]) -> RotorMotion:
-    """The motion of rotors whose speeds and accelerations are multiplied by a factor for each rotor."""
+    """The motion of rotors after each speed, and its rate if there is one, is multiplied by a factor.
+
+    Args:
+        motion: The motion before.
+        factors: Factor of each rotor.
+    """
     speeds = tuple(f * w for f, w in zip(factors, motion.speeds, strict=True))
     if not motion.accelerations:
         return RotorMotion(speeds, ())
@@ -41,9 +46,12 @@ def scaled_motion(motion: RotorMotion, factors: Sequence[Scalar]) -> RotorMotion
 
 
 def wind_at(wind: Vec3, height: Scalar, condition: Condition | None) -> Vec3:
-    """The wind at a height [m], with the shears that events have added [m/s].
+    """The wind at a height, with the shears that events have added [m/s].
 
-    None: the study has no events of the vehicle.
+    Args:
+        wind: The wind without events [m/s].
+        height: Height z of the vehicle [m].
+        condition: The changes by the events; None: the study has no events of the vehicle.
     """
     if condition is None:
         return wind

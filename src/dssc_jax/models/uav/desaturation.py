@@ -1,8 +1,8 @@
 """What an allocation gives up where rotors would exceed their limits.
 
 PX4's sequential desaturation moves the thrusts along the directions of net thrust, roll, pitch and yaw, one after the
-other, until no rotor exceeds its limits, or as little as possible. Yaw is given up first, then roll and pitch; net
-thrust is raised only in the modes of airmode.
+other, until the rotors keep their limits or exceed them as little as possible. Yaw is given up first, then roll and
+pitch. Net thrust is raised only in the modes of airmode.
 
 Source: PX4's ControlAllocationSequentialDesaturation, versions 1.13 to 1.15, whose modes are those of MC_AIRMODE, and
 the scale of the directions in ControlAllocationPseudoInverse. PX4's actuators range from 0 to 1, and its z points down.
@@ -35,8 +35,8 @@ ROUNDING_OF_ROTORS = 1e-9
 class Desaturation(StrEnum):
     """How thrusts are kept within their limits.
 
-    ``clip`` clips each thrust by itself. The others are PX4's sequential desaturation in the modes of MC_AIRMODE: they
-    name the axes for which net thrust may be raised.
+    ``clip`` clips each thrust by itself. The other modes are PX4's sequential desaturation with the modes of
+    MC_AIRMODE. Their names tell the axes for which net thrust may be raised.
     """
 
     CLIP = "clip"
@@ -67,10 +67,10 @@ class Directions(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """PX4's scale of the columns of an allocation: what counts as 1 along each.
+    """PX4's scale of the columns of an allocation: the entry that counts as 1 in each column.
 
     Args:
-        thrust: Mean of the entries of net thrust.
+        thrust: Mean size of the entries of net thrust that are not 0.
         turning: The scale of roll and of pitch: the larger of their :func:`scaled_rms` [1/m].
         yaw: The largest entry about the axis that points down [1/m].
     """
@@ -81,7 +81,7 @@ class Scales(NamedTuple):
 
 
 def scales_of(inverse: Sequence[Sequence[float]]) -> Scales:
-    """What PX4 counts as 1 along each direction of an allocation; an entry much smaller than this counts as weak.
+    """The entry that PX4 counts as 1 in each column of an allocation; a much smaller entry counts as weak.
 
     Args:
         inverse: The allocation, shape (n_r, 4): row i gives the thrust f_i from (f, M_x, M_y, M_z), with z up.
@@ -96,10 +96,10 @@ def scales_of(inverse: Sequence[Sequence[float]]) -> Scales:
 
 
 def rotors_of_full_thrust(inverse: Sequence[Sequence[float]]) -> float:
-    """The net thrust of the command 1, at which the rotors have their largest thrust in the mean, over that thrust.
+    """The net thrust at which the rotors' mean thrust is the largest thrust of a rotor, divided by this largest thrust.
 
-    It is PX4's normalisation of the thrust: the number of rotors that lift, and less by their cosine for tilted ones.
-    Whole numbers are exact.
+    PX4 normalises the thrust by it: the command 1 is this net thrust. The result is the number of rotors that lift;
+    tilted rotors count with the cosine of their tilt. A result that is whole up to rounding is a whole number.
 
     Args:
         inverse: The allocation, shape (n_r, 4).
@@ -127,7 +127,10 @@ def directions_of(inverse: Sequence[Sequence[float]]) -> Directions:
 
 
 def scaled_rms(column: np.ndarray) -> float:
-    """sqrt(2) times the root mean square of a column of an allocation, over the rotors with a part in its direction."""
+    """sqrt(2) times the root mean square of a column of an allocation, over the rotors that take part in it.
+
+    A rotor takes part if its entry is larger than ``NONZERO`` times the largest one.
+    """
     size = np.abs(column)
     count = np.sum(size > NONZERO * size.max())
     return float(np.sqrt(np.sum(column**2) / (count / 2.0)))
@@ -136,8 +139,13 @@ def scaled_rms(column: np.ndarray) -> float:
 def gain_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> Scalar:
     """The step along a direction that undoes as much as possible of what exceeds [0, limit].
 
-    A rotor beyond a limit returns to it by the step (limit - thrust)/entry. The result is the sum of the most negative
-    and the most positive of these steps.
+    A rotor beyond a limit returns to this limit by the step (limit - thrust)/entry. The result is the sum of the most
+    negative and the most positive of these steps, so that opposite demands of two rotors offset each other.
+
+    Args:
+        direction: The direction; rotors that are weak along it do not count.
+        thrusts: Thrust of each rotor before the step [N].
+        limit: Largest thrust of a rotor [N].
     """
     low: Scalar = 0.0
     high: Scalar = 0.0
@@ -153,13 +161,19 @@ def gain_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -
 def moved(direction: Direction, thrusts: Sequence[Scalar], gain: Scalar) -> list[Scalar]:
     """The thrusts after a step along a direction.
 
-    ``gain`` is the length of the step, in units of net thrust [N] or moment [N m].
+    Args:
+        direction: The direction.
+        thrusts: Thrust of each rotor before the step [N].
+        gain: Length of the step, in units of net thrust [N] or moment [N m].
     """
     return [f + gain * entry for f, entry in zip(thrusts, direction.entries, strict=True)]
 
 
 def desaturated_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> list[Scalar]:
-    """The thrusts after a step along a direction, and half a step towards what the first one left."""
+    """The thrusts after a step along a direction, and half a step towards what the first one left.
+
+    The second step is half of the one that would undo the remaining excess. Arguments are as for :func:`gain_along`.
+    """
     thrusts = moved(direction, thrusts, gain_along(direction, thrusts, limit))
     return moved(direction, thrusts, 0.5 * gain_along(direction, thrusts, limit))
 
@@ -167,7 +181,7 @@ def desaturated_along(direction: Direction, thrusts: Sequence[Scalar], limit: Sc
 def reduced_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> list[Scalar]:
     """As :func:`desaturated_along`, but nothing where the first step would raise the net thrust.
 
-    It is meant for the direction of net thrust alone.
+    The function is meant for the direction of net thrust alone, in which a positive step raises the net thrust.
     """
     gain = gain_along(direction, thrusts, limit)
     allowed = gain <= 0.0
@@ -182,7 +196,7 @@ def desaturated(
     """Thrusts for a wanted net thrust [N] and moment [N m], desaturated along the allocation's directions.
 
     Args:
-        inverse: The allocation, (n_r, 4), plain numbers.
+        inverse: The allocation, shape (n_r, 4), plain numbers.
         thrust: Wanted net thrust [N].
         moment: Wanted moment [N m].
         limit: Largest thrust of a rotor [N].

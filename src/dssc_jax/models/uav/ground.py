@@ -23,6 +23,7 @@ SLOW = 0.05
 """Speed v_s below which friction fades [m/s]; assumed."""
 LOWEST_HEIGHT = 0.5
 """Height over rotor radius below which the ground effect stays constant, because its formula is not valid there."""
+# x and y of the feet, as multiples of ``gear_width``
 FEET = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 
 
@@ -47,9 +48,13 @@ class Contact(NamedTuple):
 
 
 def prepared_ground(ground: Ground, mass: Scalar) -> Ground:
-    """The ground with the stiffness and the damping of a foot, by default those that suit the nominal mass [kg].
+    """The ground with the stiffness and the damping of a foot, which are set if the study states none.
 
     The default stiffness lets a standing vehicle sink in by :data:`SINK`; the default damping is critical.
+
+    Args:
+        ground: The ground.
+        mass: Mass of the vehicle [kg]; a law counts with its median.
     """
     mass_on_foot = nominal(mass) / len(FEET)
     stiffness = ground.stiffness if ground.stiffness is not None else mass_on_foot * GRAVITY / SINK
@@ -88,7 +93,8 @@ def contact(ground: Ground, position: Vec3, velocity: Vec3, rotation: Mat3, rate
 def lift_factor(ground: Ground, height: Scalar) -> Scalar:
     """Thrust near the ground over the thrust far from it, for a height z of the centre of mass [m].
 
-    It is 1/(1 - (R/(4 h))^2) (Cheeseman and Bennett). All rotors count as being at the height of the centre of mass.
+    The quotient is 1/(1 - (R/(4 h))^2) (Cheeseman and Bennett). All rotors count as being at the height of the centre
+    of mass.
     """
     radius = ground.rotor_radius
     assert radius is not None
@@ -117,7 +123,9 @@ def rotor_thrusts(
 def lowest_foot(ground: Ground, rotation: Mat3) -> Scalar:
     """Height of the lowest foot over the centre of mass [m], which is negative for an upright vehicle.
 
-    ``rotation`` is R, body to inertial; its last row has the heights of the body axes' ends.
+    Args:
+        ground: The feet.
+        rotation: R, body to inertial; its last row has the vertical components of the body axes.
     """
     lowered_by_tilt = ground.gear_width * (jnp.abs(rotation.c.x) + jnp.abs(rotation.c.y))
     return -ground.gear_height * rotation.c.z - lowered_by_tilt
@@ -128,9 +136,9 @@ def has_crashed(
 ) -> Scalar:
     """Whether the vehicle hits the ground in a sample: a foot touches too fast, or the centre of mass is below it.
 
-    A foot that is above the ground touches it with the rate (climb^2 - 2 acceleration gap)^(1/2), as the acceleration
-    hardly changes within a sample. A foot that is below the ground already counts only while it still sinks too fast:
-    the ground may have braked it since its touch.
+    The acceleration hardly changes within a sample. A foot that is above the ground therefore touches it with the
+    vertical speed (climb^2 - 2 acceleration gap)^(1/2). A foot that is already below the ground counts only if it still
+    sinks too fast, because the ground may have braked it since it touched.
 
     Args:
         ground: The plane and the feet.

@@ -23,8 +23,8 @@ class EstimateErrors(NamedTuple):
 class UavInfo(NamedTuple):
     """The vehicle's report at a sample.
 
-    ``rotor`` are the commanded thrusts f_i after they were limited to ``rotor_limit``, ``rotor_speed`` the speeds
-    |thetadot_i|. Without a battery ``battery_charge`` stays at 1. ``estimate`` is () without an estimator.
+    ``rotor`` has the commanded thrusts f_i, limited to ``rotor_limit``, and ``rotor_speed`` the speeds |thetadot_i|.
+    Without a battery ``battery_charge`` stays at 1. ``estimate`` is () without an estimator.
     """
 
     phi: Annotated[Scalar, Quantity("rad", "roll", periodic=True)]

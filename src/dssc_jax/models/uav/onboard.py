@@ -59,8 +59,8 @@ class UavState(NamedTuple):
         rate: Angular rate, body axes [rad/s].
         inner: :class:`Integrals` of the article's inner loop, or the :class:`HeldLoop` of a sampled one.
         speeds: Rotor speeds |thetadot_i| [rad/s]; () without a motor lag.
-        error: :class:`EstimationError` at the last sample; () without an estimator.
-        charge: Charge of the battery, relative to full; () without a battery.
+        error: :class:`EstimationError` of the estimate at the last sample; () without an estimator.
+        charge: Charge of the battery, relative to that of the full one; () without a battery.
     """
 
     position: Vec3
@@ -125,7 +125,13 @@ def software_start(params: UavParams, state: UavState, wind: Vec3 | None) -> Hel
 
 
 def held_start(params: UavParams, state: UavState, trimmed: Trim | None) -> HeldLoop:
-    """State and results of a sampled inner loop that holds an equilibrium; None: the hover in still air."""
+    """State and results of a sampled inner loop that holds an equilibrium; None: the hover in still air.
+
+    Args:
+        params: The prepared parameters.
+        state: The vehicle's state at the start.
+        trimmed: The equilibrium that the inner loop holds; None: the hover in still air.
+    """
     loop = required_loop(params)
     software = loop.init(params.craft, readings_of(state), params.first_carrying)
     if trimmed is None:
@@ -145,8 +151,8 @@ def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...], 
         dt: T_s of the loop [s].
 
     Returns:
-        State and results of the inner loop, and 1 if its next thrusts have the same effect as those of the other
-        software, else 0; they have not where they would be beyond its limits.
+        State and results of the inner loop; and 1 if its next thrusts have the same effect as those of the other
+        software, else 0, as where the thrusts would be beyond the limits of the inner loop.
     """
     craft = params.craft
     readings = readings_of(state)
@@ -216,7 +222,10 @@ def motion_of(state: UavState) -> Motion:
 
 
 def with_estimate(estimator: Estimator, state: UavState, memory: State) -> tuple[UavState, State]:
-    """The state with the error of the estimate in an estimator's memory, and this memory."""
+    """The state with the error of the estimate in an estimator's memory, and this memory.
+
+    The error is the estimate minus the true motion; the estimator's normalised squared error stands beside it.
+    """
     motion = motion_of(state)
     estimate = memory.estimate
     error = EstimationError(
@@ -245,7 +254,16 @@ def start_estimate(params: UavParams, state: UavState, key: jax.Array) -> tuple[
 def renew_estimate(
     params: UavParams, state: UavState, memory: State, key: jax.Array, k: Scalar, dt: float
 ) -> tuple[UavState, State]:
-    """The state with the error of the estimate at sample k, and the estimator's memory after it."""
+    """The state with the error of the estimate at sample k, and the estimator's memory after it.
+
+    Args:
+        params: Parameters with an estimator.
+        state: The vehicle's state at sample k.
+        memory: The estimator's memory after the sample before.
+        key: Random key of the sample.
+        k: Index of the sample.
+        dt: Length of a sample [s].
+    """
     estimator = required_estimator(params)
     return with_estimate(estimator, state, estimator.step(memory, motion_of(state), Random(key), k, dt))
 
@@ -253,7 +271,7 @@ def renew_estimate(
 def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: float) -> UavState:
     """Velocity control of a sampled inner loop.
 
-    It runs once in each sample of the outer loop, and its demand is held for the ticks in the sample.
+    Velocity control runs once in each sample of the outer loop, and its demand is held for the ticks in the sample.
     """
     command, yaw_command = velocity_commands(drive)
     software = required_loop(params).sample(
@@ -265,8 +283,8 @@ def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: f
 def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
     """Attitude and rate control of a sampled inner loop, and the allocation to the rotors.
 
-    It runs at each tick. The moment that the rotors do not give, because one is at a limit, is fed back to the inner
-    loop, whose integrals it stops.
+    Both run at each tick. If a rotor is at a limit, the moment that the rotors do not give is fed back to the inner
+    loop, where it may stop integrals.
     """
     craft = params.craft
     software, demand = required_loop(params).tick(craft, state.inner.software, readings_of(state), dt)
@@ -283,7 +301,7 @@ class RotorMount(NamedTuple):
 
     Args:
         position: Nominal place in body axes [m].
-        torque_sign: Sign of its drag torque: 1 if it turns clockwise as seen from above.
+        torque_sign: Sign of the rotor's drag torque: 1 if the rotor turns clockwise as seen from above.
     """
 
     position: tuple[float, ...]

@@ -1,4 +1,4 @@
-"""Parameters of the complete UAV, and what follows from their nominal values before tracing."""
+"""Parameters of the complete UAV, and the numbers that follow from their nominal values before tracing."""
 
 from collections.abc import Sequence
 from typing import Annotated, NamedTuple
@@ -23,11 +23,14 @@ from dssc_jax.models.uav.rotors import wrench
 from dssc_jax.models.uav.vehicle import GRAVITY, Rotor, Vehicle
 
 EQUAL_SHARE = 1e-9
-"""Difference of a rotor's share of the weight in hover from that of equal rotors, which is rounding."""
+"""A smaller difference between a rotor's share of the weight in hover and that of equal rotors is rounding."""
 
 
 class Believed(NamedTuple):
-    """What the inner loop believes of the vehicle; an absent number is the vehicle's own, or the median of its law."""
+    """What the inner loop believes of the vehicle.
+
+    A number that is None becomes the vehicle's own, with the median in place of a law.
+    """
 
     mass: Annotated[Scalar | None, Quantity("kg", "believed mass M_n", above=0.0)] = None
     inertia: Annotated[tuple[Scalar, ...] | None, Quantity("kg m^2", "believed total inertia J", above=0.0)] = None
@@ -83,7 +86,7 @@ class UavParams(NamedTuple):
 
     @property
     def inner_model(self) -> InnerModel:
-        """The values that the inner loop assumes; some are None before :func:`prepare`."""
+        """The mass, inertia and thrust coefficient that the inner loop assumes; to be read after :func:`prepare`."""
         mass, inertia, thrust_coefficient = self.believed
         assert mass is not None
         assert inertia is not None
@@ -101,10 +104,12 @@ class UavParams(NamedTuple):
         return self.shared_in_hover(self.inner_model.mass * GRAVITY)
 
     def shared_in_hover(self, lift: Scalar) -> tuple[Scalar, ...]:
-        """Thrust of each rotor [N] where all together lift as much, shared as in hover; equal before :func:`prepare`.
+        """Thrust of each rotor [N] when all rotors together give a lift, which they share as in hover.
+
+        Before :func:`prepare` the shares are equal.
 
         Args:
-            lift: Their force along body z [N].
+            lift: Force of all rotors along body z [N].
         """
         if not self.hover_shares:
             return (lift / self.vehicle.rotors,) * self.vehicle.rotors
@@ -112,6 +117,9 @@ class UavParams(NamedTuple):
 
     def power_at_full_voltage(self, speeds: Sequence[Scalar]) -> Scalar:
         """Electrical power P of the rotors at the battery's full voltage [W], for a vehicle with a battery.
+
+        It is the mechanical power over the efficiency. If the hover power is given instead, it is the hover power times
+        the mechanical power over that in hover with the believed mass and thrust coefficients.
 
         Args:
             speeds: Speed of each rotor at full voltage [rad/s].
@@ -131,10 +139,11 @@ class UavParams(NamedTuple):
 
     @property
     def carrying_thrust(self) -> Scalar:
-        """The wanted net thrust at which the draw hovers at its place, complete after :func:`prepare` [N].
+        """The net thrust that the inner loop must want for the draw to hover at its place [N]; see :func:`prepare`.
 
-        It differs from the believed weight by the draw's mass, its thrust coefficients and the effect of the ground:
-        rotors that are commanded to carry the believed weight give another lift, and the thrust scales with it.
+        It differs from the believed weight by the draw's mass, its thrust coefficients and the effect of the ground.
+        Rotors that are commanded to carry the believed weight give another lift; the believed weight is multiplied by
+        the draw's weight over this lift.
         """
         rotors = zip(self.hover_thrusts, self.vehicle.thrust_coefficients, self.believed_coefficients, strict=True)
         thrusts = tuple(f * actual / believed for f, actual, believed in rotors)
@@ -151,7 +160,7 @@ class UavParams(NamedTuple):
 
     @property
     def first_carrying(self) -> Scalar:
-        """The thrust that carries the weight: of the draw if the integrals start settled, else the believed one [N]."""
+        """The thrust [N] that carries the draw's weight if the integrals start settled, else the believed weight."""
         is_settled = self.inner_loop.start is Start.SETTLED
         return self.carrying_thrust if is_settled else self.inner_model.mass * GRAVITY
 
@@ -162,7 +171,7 @@ class UavParams(NamedTuple):
 
     @property
     def craft(self) -> Craft:
-        """The vehicle as a sampled inner loop knows it, complete after :func:`prepare`."""
+        """The vehicle as the inner loop knows it; to be read after :func:`prepare`."""
         model = self.inner_model
         return Craft(model.mass, model.inertia, self.allocation, self.moments, self.rotor_limit)
 
@@ -197,7 +206,11 @@ def prepare(params: UavParams) -> UavParams:
 
 
 def completed_belief(believed: Believed, vehicle: Vehicle) -> Believed:
-    """What the inner loop believes, with the vehicle's nominal values where none are stated; raises ConfigError."""
+    """What the inner loop believes, with the vehicle's nominal values in place of numbers that are None.
+
+    Raises:
+        ConfigError: The believed inertia has not three values.
+    """
     stated_values = {name: value for name, value in believed._asdict().items() if value is not None}
     if believed.inertia is not None and len(believed.inertia) != 3:
         raise ConfigError("believed.inertia", f"needs three values, got {believed.inertia}")
@@ -215,10 +228,10 @@ def completed_belief(believed: Believed, vehicle: Vehicle) -> Believed:
 
 
 def require_known_equilibrium(params: UavParams) -> None:
-    """Require a vehicle whose weight alone settles the integrals at the start, without a moment or a battery.
+    """Require that the integrals can settle at the start: that the weight alone determines their equilibrium.
 
-    Rotors at given places add a moment where they differ from what the inner loop believes: where their numbers have
-    laws, or where the believed thrust coefficient is stated.
+    A battery changes the thrust. Rotors at given places add a moment where they differ from what the inner loop
+    believes: where their numbers have laws, or where the believed thrust coefficient is stated.
 
     Raises:
         ConfigError: The vehicle has a battery, or such rotors.
@@ -245,7 +258,12 @@ def has_law(rotor: Rotor) -> bool:
 
 
 def hover_shares(vehicle: Vehicle, allocation: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
-    """Each rotor's share of the weight in hover; () for equal shares of rotors on a circle."""
+    """Each rotor's share of the weight in hover; () for equal shares of rotors on a circle.
+
+    Args:
+        vehicle: The vehicle.
+        allocation: The nominal allocation, shape (n_r, 4); its first column has the shares.
+    """
     shares = tuple(row[0] for row in allocation)  # the column of the net thrust
     are_equal = all(abs(share - 1.0 / vehicle.rotors) < EQUAL_SHARE for share in shares)
     is_circle = not vehicle.rotor
@@ -255,7 +273,7 @@ def hover_shares(vehicle: Vehicle, allocation: tuple[tuple[float, ...], ...]) ->
 def believed_rotors(params: UavParams) -> tuple[float, ...]:
     """The k_T that the inner loop believes of each rotor with a given place [N s^2/rad^2]; () for rotors on a circle.
 
-    It is the one that ``[plant.believed]`` states, or else each rotor's own nominal value.
+    The value is the one that ``[plant.believed]`` states, or else each rotor's own nominal value.
     """
     vehicle = params.vehicle
     if not vehicle.rotor:

@@ -62,13 +62,24 @@ def init(params: UavParams) -> UavState:
 
 
 def settle(params: UavParams, state: UavState, wind: Vec3) -> UavState:
-    """The state at the start in a wind [m/s]: in equilibrium with it if the integrals start settled."""
+    """The state at the start in a wind [m/s]: in equilibrium with the wind if the integrals start settled.
+
+    Args:
+        params: The prepared parameters.
+        state: The state from :func:`init`, which is kept if the integrals do not start settled.
+        wind: Velocity of the air, inertial [m/s].
+    """
     trimmed = trim_of(params, wind)
     return state if trimmed is None else start_state(params, trimmed)
 
 
 def start_state(params: UavParams, trimmed: Trim | None) -> UavState:
-    """The state at the start, in an equilibrium; None: the hover in still air."""
+    """The state at the start.
+
+    Args:
+        params: The prepared parameters.
+        trimmed: The equilibrium in which the vehicle starts; None: the hover in still air.
+    """
     zero = Vec3(0.0, 0.0, 0.0)
     speeds = ()
     if params.vehicle.motor_lag is not None:
@@ -100,7 +111,9 @@ def start_state(params: UavParams, trimmed: Trim | None) -> UavState:
 def first_integrals_of_article(params: UavParams, trimmed: Trim | None) -> Integrals | tuple[()]:
     """The integrals of the article's inner loop at the start; () for a sampled inner loop, which has its own.
 
-    They hold an equilibrium; None: the hover in still air.
+    Args:
+        params: The prepared parameters.
+        trimmed: The equilibrium that the integrals hold; None: the hover in still air.
     """
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
@@ -111,11 +124,11 @@ def first_integrals_of_article(params: UavParams, trimmed: Trim | None) -> Integ
 
 
 class RotorCommands(NamedTuple):
-    """What the inner loop and the allocation demand.
+    """The demand of the inner loop and the commands of the allocation.
 
     Args:
         thrust: Demanded net thrust [N].
-        rotors: Commanded thrusts of the rotors.
+        rotors: Commanded thrusts of the rotors [N], and whether a limit was exceeded.
         bounded: Whether the wanted lift is at its lower bound.
         slope: Derivative of the inner loop's state; zeros for a sampled one, whose state is held.
     """
@@ -129,8 +142,9 @@ class RotorCommands(NamedTuple):
 def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> RotorCommands:
     """The commands that inner loop and allocation give the rotors at the present state.
 
-    The article's inner loop is evaluated. The commands of a sampled one are held since its last tick; the rotors keep
-    their own limit, which the software may know as another.
+    The article's inner loop is evaluated at the present state. A sampled inner loop holds its commands since its last
+    tick; the rotors of the draw limit them once more, because their limit may differ from the one that the software
+    knows.
     """
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
@@ -155,12 +169,12 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
 
 
 class DrivenRotors(NamedTuple):
-    """The motion of the rotors, and what supplies it.
+    """The motion of the rotors, and the battery's supply.
 
     Args:
         commanded: Motion that the commands ask for.
         actual: Motion with the battery's voltage and the rotors' faults.
-        supply: Voltage and current of the battery; 1 and 0 without a battery.
+        supply: Relative voltage and current of the battery; 1 and 0 without a battery.
     """
 
     commanded: RotorMotion
@@ -169,7 +183,14 @@ class DrivenRotors(NamedTuple):
 
 
 def driven_rotors(params: UavParams, state: UavState, drive: PlantInput, commands: RotorCommands) -> DrivenRotors:
-    """The motion of the rotors at the present state: as commanded, and with the battery and the events' changes."""
+    """The motion of the rotors at the present state: as commanded, and as changed by the battery and by events.
+
+    Args:
+        params: The prepared parameters.
+        state: The present state.
+        drive: The plant's input, with the changes by events.
+        commands: The commands from :func:`rotor_commands`.
+    """
     commanded = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
     actual = conditioned_motion(commanded, drive.condition)
     if params.battery is None:
@@ -181,9 +202,10 @@ def driven_rotors(params: UavParams, state: UavState, drive: PlantInput, command
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
-    """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics.
+    """The right-hand side of (1) with inner loops, allocation, rotors and aerodynamics.
 
-    Forces and torques of rotors, drag and ground add up, and move a rigid body with or without additional masses.
+    Forces and torques of rotors, drag and ground add up, and move a rigid body with or without additional masses. The
+    time ``t`` is not used: wind and commands are in ``drive``.
     """
     vehicle = params.vehicle
     ground = params.ground
@@ -221,12 +243,15 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
 
 
 def project(params: UavParams, state: UavState) -> UavState:
-    """Normalise the quaternion, because integrators drift."""
+    """The state with a quaternion of length 1, which integrators do not keep exactly."""
     return state._replace(attitude=state.attitude.normalised())
 
 
 def measure(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Measurement, ...]:
-    """Position and yaw of the four channels with their rates, which do not depend on the input; yaw in (-pi, pi]."""
+    """The measured position and yaw of the four channels with their rates; yaw is in (-pi, pi].
+
+    The rates do not depend on the input.
+    """
     del drive
     rotation = state.attitude.matrix()
     angle_rates = euler_rates(trig_of(rotation), state.rate)
@@ -239,7 +264,8 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     """The vehicle's report at a sample: attitude, rotors, limits, wind, battery, and the errors of an estimate."""
     rotation = state.attitude.matrix()
     commands = rotor_commands(params, state, drive)
-    tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
+    # root_abs has the derivative 0 at 0, where that of a plain root is NaN: for an upright vehicle
+    tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)
     rotor_state = driven_rotors(params, state, drive, commands)
     charge = 1.0 if params.battery is None else jnp.maximum(state.charge, 0.0)
     voltage = rotor_state.supply.voltage * voltage_of(drive.condition)
@@ -285,7 +311,7 @@ def has_flipped(params: UavParams, state: UavState) -> Scalar:
 def into_ground(params: UavParams, state: UavState, drive: PlantInput, t: Scalar, dt: Scalar) -> Scalar | bool:
     """Whether the vehicle flies into the ground in the sample that begins with this state; False without a ground.
 
-    Its vertical acceleration at the sample tells how fast a foot touches.
+    The vehicle's vertical acceleration at the sample tells how fast a foot touches.
     """
     ground = params.ground
     if ground is None:
@@ -308,7 +334,7 @@ def input_gain(params: UavParams) -> tuple[Scalar, ...]:
 
 
 def smoothness(params: UavParams) -> Smoothness:
-    """Where the vehicle has a derivative: except at limits of its rotors and its lift.
+    """Declare where the vehicle has a derivative: everywhere but at the limits of its rotors and its lift.
 
     A vehicle with a battery, an estimator or a sampled inner loop is not linearised.
     """

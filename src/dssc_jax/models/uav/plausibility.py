@@ -83,9 +83,9 @@ def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
 
 
 def unusual_power(vehicle: Vehicle, battery: Battery) -> list[str]:
-    """The warning of a battery's power in hover that is unusual for the mass; an empty list without one.
+    """Warn of a battery's power in hover that is unusual for the vehicle's mass; no warning is an empty list.
 
-    Hover is that of rotors with equal thrusts, and laws count with their medians.
+    The rotors are taken to have equal thrusts in hover, and laws count with their medians.
 
     Args:
         vehicle: The vehicle.
@@ -118,7 +118,7 @@ def distance_of_rotors(vehicle: Vehicle) -> float:
 
 
 def implausible(vehicle: Vehicle, fields: Collection[str]) -> list[str]:
-    """The warnings: a sentence for each number outside of its usual range that follows from a field the study gives.
+    """Warn of each number that is outside of its usual range and follows from a field that the study gives.
 
     Args:
         vehicle: The vehicle.

@@ -1,4 +1,4 @@
-"""Vehicles that people fly, each number with its source; what no source gives is marked as estimated.
+"""Vehicles that people fly, each number with its source; a number without a source is marked as estimated.
 
 References:
     [1] E. V. L. Nunes et al., the article's Section V-B (the package's ``m600_quadrotor``).

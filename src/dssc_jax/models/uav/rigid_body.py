@@ -9,7 +9,7 @@ from dssc_jax.models.uav.vehicle import GRAVITY
 
 
 class BodyState(NamedTuple):
-    """Position, velocity and attitude of a rigid body, and its angular velocity; also their rates of change.
+    """The state of a rigid body, or its derivative.
 
     Args:
         position: p, inertial, z up [m].
@@ -45,7 +45,12 @@ def body_derivative(
 
 
 def turning_moment(inertia: Vec3, rate: Vec3) -> Vec3:
-    """Omega x J Omega of a diagonal J [N m]: the moment that keeps the body rate Omega [rad/s] constant."""
+    """Omega x J Omega for a diagonal J [N m]: the moment that keeps the body rate Omega constant.
+
+    Args:
+        inertia: Diagonal of J [kg m^2].
+        rate: Body rate Omega [rad/s].
+    """
     differences = Vec3(inertia.z - inertia.y, inertia.x - inertia.z, inertia.y - inertia.x)
     return Vec3(rate.y * rate.z, rate.z * rate.x, rate.x * rate.y).scale(differences)
 
@@ -55,14 +60,14 @@ def loaded_derivative(
 ) -> BodyState:
     """The derivative of the body's state with additional masses, which move the centre of mass.
 
-    The state belongs to the point O, the centre of mass without them. With the total mass M, the centre of mass
-    c = sum m r/M and the inertia J_c about it, Newton and Euler give
+    The state belongs to the point O, the centre of mass without the additional masses. Let M be the total mass,
+    c = sum m r/M the centre of mass seen from O, and J_c the inertia about c. Newton and Euler give
     R F/M - g e3 = v' + R (Omega' x c + Omega x (Omega x c)) and J_c Omega' = tau - c x F - Omega x J_c Omega.
 
     Args:
         state: The state of the point O.
         mass: Mass of the vehicle without the load [kg].
-        inertia: Diagonal of its inertia about O [kg m^2].
+        inertia: Diagonal of the vehicle's inertia about O, without the load [kg m^2].
         load: The additional masses.
         force: All forces but the weight, body frame [N].
         torque: All torques about O but the weight's, body frame [N m].

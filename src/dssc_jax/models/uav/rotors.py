@@ -24,10 +24,10 @@ def rotor_motion(
     approach the commanded speeds.
 
     Args:
-        vehicle: Motor lag.
+        vehicle: The vehicle, with the motor lag or without one.
         thrusts: Commanded thrusts f_i [N].
-        thrust_coefficients: k_T of each rotor with which the commands are computed [N s^2/rad^2].
-        speeds: Speeds of rotors with a lag [rad/s].
+        thrust_coefficients: k_T of each rotor with which the software turns thrusts into speeds [N s^2/rad^2].
+        speeds: Present speeds of rotors with a lag [rad/s]; without a lag they are not used.
     """
     commanded = tuple(root_abs(f / k) for f, k in zip(thrusts, thrust_coefficients, strict=True))
     if vehicle.motor_lag is None:
@@ -37,7 +37,7 @@ def rotor_motion(
 
 
 class Wrench(NamedTuple):
-    """Force and moment of all rotors in body axes, produced by them or demanded from them.
+    """Force and moment of all rotors in body axes, which the rotors give or which an inner loop demands.
 
     Args:
         thrust: Force along body z [N].
@@ -51,10 +51,10 @@ class Wrench(NamedTuple):
 
 
 def wrench(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> Wrench:
-    """The net force sum f_i a_i and moment sum p_i x (f_i a_i) + s_i c_tau,i f_i a_i of all rotors.
+    """The net force and moment of all rotors: sum f_i a_i, and sum p_i x (f_i a_i) + s_i c_tau,i f_i a_i.
 
-    A rotor has the thrust f_i along its axis a_i, the place p_i and the sign s_i of its drag torque. Rotors on a circle
-    have a_i = e3.
+    Rotor i has the thrust f_i along the axis a_i, the place p_i, the sign s_i of the drag torque and the torque over
+    thrust c_tau,i. Rotors on a circle have a_i = e3.
 
     Args:
         vehicle: The rotors.
@@ -70,7 +70,12 @@ def wrench(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> Wrench:
 
 
 def rotor_wrench(rotor: Rotor, torque_coefficient: Scalar) -> tuple[Scalar, ...]:
-    """Force [1] and moment [m] of a rotor per thrust, in body axes: F_x, F_y, F_z, M_x, M_y, M_z."""
+    """Force and moment of a rotor per thrust, in body axes: F_x, F_y, F_z [1], M_x, M_y, M_z [m].
+
+    Args:
+        rotor: Place, axis and turning direction of the rotor.
+        torque_coefficient: Its torque over thrust c_tau [m].
+    """
     axis = rotor.unit_axis
     lever_moment = Vec3(*rotor.position).cross(axis)
     drag_torque = axis * (rotor.direction * torque_coefficient)
@@ -80,7 +85,11 @@ def rotor_wrench(rotor: Rotor, torque_coefficient: Scalar) -> tuple[Scalar, ...]
 def circle_wrench(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> Wrench:
     """Net thrust f = sum f_i [N] and moment [N m] of rotors on a circle.
 
-    The moment is M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i, with the places p_bi of the rotors.
+    With the places p_bi of the rotors the moment is M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i.
+
+    Args:
+        vehicle: The rotors.
+        thrusts: f_i of each rotor [N].
     """
     x, y = vehicle.directions()
     ones = (1.0,) * vehicle.rotors
@@ -93,7 +102,7 @@ def circle_wrench(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> Wrench:
 def gyroscopic_torque(rate: Vec3, rotor_inertia: Scalar, spin: Scalar, spin_up: Scalar) -> Vec3:
     """The torque of spinning rotors with vertical axes on the body, tau_dist = -d/dt(h e3) - Omega x (h e3) [N m].
 
-    h = I_z sum thetadot_i is their angular momentum about body z. The article prints the opposite sign; with
+    h = I_z sum thetadot_i is the rotors' angular momentum about body z. The article prints the opposite sign; with
     s_i = -sgn(thetadot_i) only the sign used here conserves R (J Omega + h e3).
 
     Args:

@@ -4,8 +4,8 @@ At rest in the wind w the forces and the moments are in balance,
 
     R (f_across + f e3) + F_drag(-w) = M g e3,   M_rotors + tau_drag(-w) = 0,
 
-where drag and thrust depend on the attitude R and on the speeds of the rotors. The balance is solved by substitution:
-each round turns body z along the force that is needed, and corrects thrust and moment by what is lacking.
+where drag and thrust depend on the attitude R and on the speeds of the rotors. Substitution solves the balance: each
+round turns body z along the force that is needed, and corrects thrust and moment by what they lack.
 """
 
 from typing import NamedTuple
@@ -43,7 +43,7 @@ def trim(params: UavParams, wind: Vec3) -> Trim:
     """
 
     def substitution(_: Scalar, guess: Guess) -> Guess:
-        """One round of the loop, whose index does not matter."""
+        """One round of the substitution; the index of the round does not matter."""
         return as_arrays(improved_guess(params, wind, guess))
 
     weight = params.inner_model.mass * GRAVITY
@@ -62,8 +62,8 @@ def improved_guess(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
     """The next guess of the substitution, nearer to the balance of forces and moments.
 
     Thrust and moment of a guess are what the inner loop wants; the rotors of the draw give others. The next thrust is
-    the required force times the ratio of wanted and given thrust. The next moment takes away what the moments of rotors
-    and drag leave over, times the same ratio.
+    the size of the required force times the ratio of wanted and given thrust. The next moment is the guessed one minus
+    the sum of the moments of rotors and drag, times the same ratio.
 
     Args:
         params: The prepared parameters.

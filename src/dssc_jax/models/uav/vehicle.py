@@ -24,9 +24,9 @@ SHORTEST_AXIS = 1e-3
 
 @jax.tree_util.register_static
 class RotorCoefficients(StrEnum):
-    """Whether a vehicle's thrust and torque coefficients are those of its rotors.
+    """Whether a vehicle's thrust and torque coefficients are the true coefficients of its rotors.
 
-    Nominal ones give the vehicle's thrusts, but not the speeds of its rotors or the power that they take.
+    Nominal coefficients give the vehicle's thrusts, but neither the speeds of its rotors nor the power that they take.
     """
 
     ACTUAL = "actual"
@@ -36,8 +36,8 @@ class RotorCoefficients(StrEnum):
 class Rotor(NamedTuple):
     """A rotor at any place and in any direction.
 
-    The thrust is f a along the axis a, and the drag torque s c_tau f a. ``direction`` is s: 1 for a rotor that turns
-    clockwise when one looks against its thrust. A coefficient that is None is the vehicle's.
+    A thrust f acts along the axis a, and the drag torque is s c_tau f a. The sign s is ``direction``: 1 for a rotor
+    that turns clockwise when one looks against its thrust. A coefficient that is None is the vehicle's.
     """
 
     position: Annotated[tuple[Scalar, ...], Quantity("m", "place from the centre of mass, body axes")]
@@ -60,10 +60,11 @@ class Rotor(NamedTuple):
 class Vehicle(NamedTuple):
     """A multirotor with equal rotors on a circle around the centre of mass, or with rotors at any place.
 
-    Rotor i = 1..n_r sits at ``rotor_angles[i]`` counter-clockwise from body x, at the distance ``arm``; ``spins`` s_i =
-    -sgn(thetadot_i) is the sign of its drag torque about body z. If ``rotor`` is not empty, it gives the places and
-    signs, and ``arm``, ``rotor_angles`` and ``spins`` have no effect. ``rotor_coefficients`` tells whether thrust and
-    torque coefficients are those of the rotors, or nominal.
+    On a circle, rotor i = 1..n_r is at the angle ``rotor_angles[i]`` counter-clockwise from body x, at the distance
+    ``arm``. The sign of its drag torque about body z is s_i = -sgn(thetadot_i), in ``spins``.
+
+    If ``rotor`` is not empty, it gives the places and signs, and ``arm``, ``rotor_angles`` and ``spins`` have no
+    effect. ``rotor_coefficients`` tells whether thrust and torque coefficients are those of the rotors, or nominal.
     """
 
     mass: Annotated[Scalar, Quantity("kg", "mass M", above=0.0, leading=True)]
@@ -151,12 +152,15 @@ def without_rounding(value: float) -> float:
 
 
 def ring(rotors: int) -> tuple[float, ...]:
-    """Equally spaced angles from body x, counter-clockwise [rad]."""
+    """The angles of equally spaced rotors from body x, counter-clockwise [rad]."""
     return tuple(2.0 * math.pi * i / rotors for i in range(rotors))
 
 
 def alternating(rotors: int) -> tuple[float, ...]:
-    """Spin signs +1, -1, ...; with other orders of these signs, four rotors on a ring cannot control the yaw."""
+    """Spin signs +1, -1, ... of the rotors in turn.
+
+    With another order of these signs, four rotors on a ring cannot control the yaw.
+    """
     return tuple(1.0 if i % 2 == 0 else -1.0 for i in range(rotors))
 
 
@@ -180,7 +184,11 @@ HEXACOPTER = QUADROTOR._replace(rotor_angles=ring(6), spins=alternating(6))
 
 
 def check_circle(vehicle: Vehicle) -> None:
-    """Require at least four rotors on a circle, each with the sign 1 or -1 of its drag torque; raises ConfigError."""
+    """Require at least four rotors on a circle, each with the sign 1 or -1 of its drag torque.
+
+    Raises:
+        ConfigError: There are too few rotors, or a sign is missing or another number.
+    """
     if len(vehicle.spins) != vehicle.rotors or vehicle.rotors < 4:
         raise ConfigError("spins", f"needs one sign a rotor, and four rotors at least; got {vehicle.rotors} rotors")
     if any(abs(s) != 1.0 for s in vehicle.spins):

@@ -17,10 +17,10 @@ VERTICAL_SHARE = 0.5  # default bound of |w_z| relative to that of the horizonta
 
 
 class BoundedWindParams(NamedTuple):
-    """Winds whose horizontal vector, vertical component and rates stay within bounds; a draw is an extreme one.
+    """Bounds of the horizontal wind, the vertical wind and their rates; a draw goes from one extreme to another.
 
-    A draw switches at random times between extremes: a horizontal vector of length ``speed`` in a random direction, and
-    a vertical component ``vertical`` up or down. It moves along straight lines at ``rate``, or jumps.
+    A draw switches at random times. An extreme is a horizontal vector of length ``speed`` in a random direction, with a
+    vertical component ``vertical`` up or down. The wind moves to it along a straight line at ``rate``, or jumps.
     """
 
     speed: Annotated[Scalar, Quantity("m/s", "bound of the horizontal wind's norm", at_least=0.0, leading=True)]
@@ -35,7 +35,10 @@ class BoundedWindParams(NamedTuple):
 
 
 class BoundedWindState(NamedTuple):
-    """The wind at the last sample [m/s], the time ``since`` then [s], and the extreme towards which it moves [m/s]."""
+    """The wind at the last sample [m/s], the time ``since`` of that sample [s], and the extreme ``target`` [m/s].
+
+    The wind moves from ``wind`` towards ``target`` since that time.
+    """
 
     wind: Vec3
     since: Scalar
@@ -82,7 +85,12 @@ def moved_towards(wind: Vec3, target: Vec3, distance: Scalar) -> Vec3:
 
 
 def travelled_share(length: Scalar, distance: Scalar) -> Scalar:
-    """Share of a way's length that a distance covers, at most 1."""
+    """The share of a straight way that a move covers, at most 1.
+
+    Args:
+        length: Length of the way [m/s].
+        distance: Length of the move [m/s].
+    """
     arrives = length <= distance
     return jnp.where(arrives, 1.0, distance / jnp.where(arrives, 1.0, length))
 
@@ -99,7 +107,8 @@ def bounded_step(
 ) -> BoundedWindState:
     """The state at the next sample, where the wind may switch to another random extreme.
 
-    Switches are the events of a Poisson process: a sample has at least one with the probability 1 - exp(-dt/period).
+    Switches are the events of a Poisson process: a sample has at least one of them with the probability
+    1 - exp(-dt/period).
     """
     turn, side, number = uniforms(key, 3)
     switches = number < -jnp.expm1(-dt / params.period)
@@ -109,14 +118,23 @@ def bounded_step(
 
 
 def bounded_value(params: BoundedWindParams, state: BoundedWindState, t: Scalar) -> Vec3:
-    """The wind at t [m/s]: the extreme itself without a rate, else a point on the straight way to it."""
+    """The wind at t [m/s]: the target itself without a rate, else a point on the straight way to the target.
+
+    Args:
+        params: The bounds.
+        state: The state at the last sample.
+        t: Time [s].
+    """
     if params.rate is None:
         return state.target
     return moved_towards(state.wind, state.target, params.rate * (t - state.since))
 
 
 def bounded_mean(params: BoundedWindParams, dt: Scalar) -> Vec3:
-    """The expected wind over the first sample: 0, because all directions are equally likely."""
+    """The expected wind over the first sample [m/s]: 0, because all directions are equally likely.
+
+    It depends neither on the bounds nor on the length ``dt`` of the sample.
+    """
     return Vec3(0.0, 0.0, 0.0)
 
 

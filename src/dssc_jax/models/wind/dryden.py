@@ -31,8 +31,9 @@ ROOT3 = math.sqrt(3.0)
 class DrydenParams(NamedTuple):
     """The mean wind and the height of Dryden turbulence by the low-altitude model.
 
-    ``altitude`` sets mean wind, intensities and scale lengths; they do not follow the vehicle. ``airspeed`` converts
-    lengths to times: the vehicle passes through a frozen field at that speed (about the wind speed in hover).
+    ``altitude`` sets mean wind, intensities and scale lengths, which do not follow the vehicle's height. ``airspeed``
+    converts lengths to times: the vehicle passes through a frozen field at this speed. In hover it is about the wind
+    speed.
     """
 
     speed: Annotated[Scalar, Quantity("m/s", "mean wind speed at 20 ft (6.1 m), W20", at_least=0.0, leading=True)]
@@ -77,8 +78,8 @@ class DrydenState(NamedTuple):
     """The turbulence over a sample, relative to its intensities.
 
     Args:
-        u: Turbulence u along the mean wind over its intensity.
-        v: Filter of the turbulence v across it.
+        u: Turbulence u along the mean wind, over its intensity.
+        v: Filter of the turbulence v across the mean wind.
         w: Filter of the vertical turbulence w.
         begun: Share of the sample that lies after the wind's beginning, in [0, 1].
     """
@@ -90,10 +91,11 @@ class DrydenState(NamedTuple):
 
 
 def dryden_law(params: DrydenParams) -> DrydenLaw:
-    """The low-altitude model of MIL-F-8785C at the height of the parameters; its formulas are in feet.
+    """The low-altitude model of MIL-F-8785C at the height h of the parameters; its formulas are in feet.
 
-    Mean W20 ln(h/z_0)/ln(20 ft/z_0) with z_0 = 0.15 ft; L_w = h, L_u = L_v = h/(0.177 + 0.000823 h)^1.2,
-    sigma_w = 0.1 W20, sigma_u = sigma_v = sigma_w/(0.177 + 0.000823 h)^0.4, times ``turbulence``.
+    The mean wind is W20 ln(h/z_0)/ln(20 ft/z_0) with z_0 = 0.15 ft. The scale lengths are L_w = h and L_u = L_v =
+    h/(0.177 + 0.000823 h)^1.2. The intensities are sigma_w = 0.1 W20 and sigma_u = sigma_v = sigma_w/(0.177 + 0.000823
+    h)^0.4, times ``turbulence``.
 
     Returns:
         Intensities and mean in [m/s], lengths in [m].
@@ -124,11 +126,14 @@ def decayed_sinh_excess(h: Scalar) -> Scalar:
 
 
 def noise_factor(h: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Cholesky factor of the covariance of the noise that enters :class:`Transverse` over h = V dt/L.
+    """Cholesky factor of the covariance Q of the noise that enters :class:`Transverse` over h = V dt/L.
 
-    The covariance is that of int_0^h (1, s) exp(-s) dW: with S = exp(-h) sinh h, Q_aa = S,
+    Q is the covariance of int_0^h (1, s) exp(-s) dW. Its entries follow from Q_aa = exp(-h) sinh h,
     Q_ab = (exp(-h) (sinh h - h) - h exp(-h) expm1(-h))/2, and det Q = exp(-2 h) (sinh^2 h - h^2)/4. Every term is
-    positive, so single precision resolves the smallest, of order h^3.
+    positive, so that single precision resolves the smallest entry, of order h^3.
+
+    Args:
+        h: Length of the sample in units of L/V.
 
     Returns:
         The entries (a, a), (b, a), (b, b).
@@ -175,7 +180,7 @@ def dryden_init(params: DrydenParams, key: jax.Array) -> DrydenState:
 
 
 def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Scalar, dt: Scalar) -> DrydenState:
-    """The state at the next sample, by exact sampling of the filters; before ``at`` they run without effect.
+    """The state at the next sample, by exact sampling of the filters; before ``at`` the filters run without effect.
 
     H_u = sigma_u sqrt(2 L_u/(pi V))/(1 + L_u s/V) and, for v and w,
     H = sigma sqrt(L/(pi V)) (1 + sqrt(3) L s/V)/(1 + L s/V)^2. Their squared moduli are the one-sided spectra of the
@@ -196,7 +201,7 @@ def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Sca
 
 
 def dryden_value(params: DrydenParams, state: DrydenState, t: Scalar) -> Vec3:
-    """The wind, mean and turbulence, in inertial axes [m/s]; it is constant over the sample."""
+    """The wind in inertial axes, mean and turbulence, which is constant over the sample [m/s]."""
     law = dryden_law(params)
     longitudinal = law.mean + law.sigma_uv * state.u
     lateral = law.sigma_uv * state.v.output

@@ -63,9 +63,9 @@ class GustParams(NamedTuple):
 class SplineWindParams(NamedTuple):
     """Cubic splines with knots ``interval`` apart, the first at the time ``at``.
 
-    They can approximate any wind of bounded speed and acceleration. Each component is at most its largest |knot|, and
-    its rate at most the largest difference of consecutive knots divided by the interval. The wind begins and ends at 0,
-    two intervals before the first and after the last knot.
+    The splines can approximate any wind of bounded speed and acceleration. The magnitude of a component is at most its
+    largest |knot|, and its rate at most the largest difference of consecutive knots divided by the interval. The wind
+    begins at 0 two intervals before the first knot, and ends at 0 two intervals after the last knot.
     """
 
     interval: Annotated[Scalar, Quantity("s", "time between two knots", above=0.0)]
@@ -108,19 +108,29 @@ def held_wind(params: Params, state: Vec3, t: Scalar) -> Vec3:
 
 
 def constant_step(params: ConstantWindParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
-    """The mean wind over [t, t + dt), so that a jump within a sample does not reduce the integrator's order."""
+    """The mean wind over [t, t + dt) [m/s], so that a jump within a sample does not reduce the integrator's order.
+
+    ``state`` and ``key`` are not used, because the wind neither remembers anything nor is random.
+    """
     return Vec3(params.x, params.y, params.z) * elapsed_share(params.at, t, dt)
 
 
 def constant_bounds(params: ConstantWindParams) -> WindBounds:
-    """The bounds of the wind: its own norms, and no rate if it begins after t = 0, where it jumps."""
+    """The bounds of the wind: its own norms, and the rate 0 if it begins at t = 0.
+
+    A wind that begins later jumps then, so that it has no bound of the rate.
+    """
     wind = Vec3(params.x, params.y, params.z)
     slopes = [Vec3(0.0, 0.0, 0.0)] if float(params.at) == 0.0 else None
     return mixture_bounds([wind], slopes)
 
 
 def check_table(params: PiecewiseParams) -> PiecewiseParams:
-    """The parameters themselves, whose times must have a row each and rise strictly; raises ConfigError."""
+    """The parameters themselves, whose table must have a time for each row and times that rise strictly.
+
+    Raises:
+        ConfigError: A column has another length than the times, or the times do not rise for all values of their laws.
+    """
     rows = len(params.times)
     if rows == 0:
         raise ConfigError("times", "needs at least one time, got none")
@@ -138,13 +148,17 @@ def check_table(params: PiecewiseParams) -> PiecewiseParams:
 
 
 def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
-    """The mean wind over [t, t + dt); at each instant, the last row that has begun counts."""
+    """The mean wind over [t, t + dt) [m/s]; at each instant, the last row that has begun counts.
+
+    ``state`` and ``key`` are not used, because the wind neither remembers anything nor is random.
+    """
     wind = Vec3(0.0, 0.0, 0.0)
     covered_share = 0.0  # share of the sample to which later rows belong
     rows = list(zip(params.times, params.x, params.y, params.z, strict=True))
     for at, x, y, z in reversed(rows):
         remaining_share = elapsed_share(at, t, dt) - covered_share
-        share = jnp.where(remaining_share < 0.0, 0.0, remaining_share)  # at 0 with the slope, as a row that has ended
+        # where the share is exactly 0, as for a row that has ended, it keeps its derivative
+        share = jnp.where(remaining_share < 0.0, 0.0, remaining_share)
         wind = wind + Vec3(x, y, z) * share
         covered_share = covered_share + share
     return wind
@@ -170,7 +184,11 @@ def gust_bounds(params: GustParams) -> WindBounds:
 
 
 def check_wind_knots(params: SplineWindParams) -> SplineWindParams:
-    """The parameters themselves, which must have at least one knot in x, y or z; raises ConfigError."""
+    """The parameters themselves, which must have at least one knot in x, y or z.
+
+    Raises:
+        ConfigError: There is no knot.
+    """
     if not (params.x or params.y or params.z):
         raise ConfigError("x", "needs at least one knot in x, y or z, got none")
     return params
@@ -186,7 +204,8 @@ def spline_bounds(params: SplineWindParams) -> WindBounds:
     """The bounds of the wind from its knots.
 
     A cubic B-spline is always a weighted mean of its knots, and its slope a weighted mean of the differences of
-    consecutive knots, divided by the interval. Before and after its knots it goes to 0, hence the padding.
+    consecutive knots, divided by the interval. Before and after its knots the spline goes to 0, as if further knots
+    were 0; the padding adds them.
     """
     count = most_knots(params)
     columns = (padded_knots(knots, count) for knots in (params.x, params.y, params.z))
@@ -196,12 +215,12 @@ def spline_bounds(params: SplineWindParams) -> WindBounds:
 
 
 def most_knots(params: SplineWindParams) -> int:
-    """Return the number of knots of the component that has most."""
+    """The number of knots of the component that has the most."""
     return max(len(params.x), len(params.y), len(params.z))
 
 
 def padded_knots(knots: Sequence[Scalar], count: int) -> list[Scalar]:
-    """Knots, filled up with zeros to a count, and with another zero at both ends."""
+    """The knots, filled up with zeros to ``count``, and with one more zero at each end."""
     missing = [0.0] * (count - len(knots))
     return [0.0, *knots, *missing, 0.0]
 

@@ -27,7 +27,7 @@ from dssc_jax.models.wind.prescribed import held_wind, mixture_bounds
 
 
 class RecordedWindParams(NamedTuple):
-    """A recorded wind; a study file has ``file`` and the ``columns`` of x, y and z instead."""
+    """A recorded wind; a study file gives ``file`` and the ``columns`` of x, y and z in place of these fields."""
 
     time: Annotated[Values, TIMES]
     x: Annotated[Values, Quantity("m/s", "wind velocity along x", law=False, data=True)]
@@ -36,7 +36,13 @@ class RecordedWindParams(NamedTuple):
 
 
 def wind_at(pieces: tuple[Pieces, ...], state: tuple[()], t: Scalar) -> Vec3:
-    """The wind at t [s]: the three components of the record [m/s]."""
+    """The wind at t [s]: the three components of the record [m/s].
+
+    Args:
+        pieces: The components x, y, z of the record as functions of time.
+        state: Not used: the wind has no memory.
+        t: Time [s].
+    """
     x, y, z = pieces
     return Vec3(piece_at(x, t).y, piece_at(y, t).y, piece_at(z, t).y)
 
@@ -49,14 +55,15 @@ def first_wind(records: tuple[HeldRecord, ...], key: jax.Array) -> Vec3:
 def wind_mean(records: tuple[HeldRecord, ...], state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
     """The mean of a held record over the sample [t, t + dt) [m/s].
 
-    A jump within the sample therefore does not reduce the integrator's order.
+    A jump within the sample therefore does not reduce the integrator's order. ``state`` and ``key`` are not used,
+    because the record determines the mean.
     """
     x, y, z = records
     return Vec3(held_mean(x, t, dt), held_mean(y, t, dt), held_mean(z, t, dt))
 
 
 def pieces_of(records: tuple[HeldRecord, ...]) -> tuple[Pieces, ...]:
-    """The pieces of the three components of a held record."""
+    """The pieces, as functions of time, of the three components of a held record."""
     return tuple(record.pieces for record in records)
 
 
@@ -87,7 +94,11 @@ def recorded_wind(rule: Interpolation) -> Wind:
     """
 
     def prepare(params: RecordedWindParams) -> tuple[Pieces, ...]:
-        """The three components as piecewise cubic functions of time; raises ConfigError."""
+        """The three components as piecewise cubic functions of time.
+
+        Raises:
+            ConfigError: The times do not rise, are too few or too many, or do not have one value each.
+        """
         return columns_as_pieces(params.time, {"x": params.x, "y": params.y, "z": params.z}, rule)
 
     if rule == Interpolation.HOLD:

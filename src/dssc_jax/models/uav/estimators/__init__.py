@@ -15,15 +15,28 @@ class Estimator(Protocol[M]):
     """Parameters of an estimator, with its functions; ``memory.estimate`` is the estimated :class:`Motion`."""
 
     def start(self, motion: Motion, random: Random) -> M:
-        """The memory at t = 0, from the true motion."""
+        """The memory at t = 0.
+
+        Args:
+            motion: The true motion.
+            random: Source of the random errors and biases.
+        """
         ...
 
     def step(self, memory: M, motion: Motion, random: Random, k: Scalar, dt: float) -> M:
-        """The memory after sample k, from the true motion there; ``dt`` is the length of a sample [s]."""
+        """The memory after sample k.
+
+        Args:
+            memory: The memory after the sample before.
+            motion: The true motion at the sample.
+            random: Source of the sensors' noise.
+            k: Index of the sample.
+            dt: Length of a sample [s].
+        """
         ...
 
     def nees(self, memory: M, motion: Motion) -> Scalar:
-        """Squared error of the estimate, normalised by its covariance; 0 of an estimator without a covariance."""
+        """The squared error of the estimate, normalised by its covariance; 0 for an estimator without a covariance."""
         ...
 
 

@@ -1,9 +1,12 @@
-"""Complementary filter: the inertial unit in the short run, the other sensors in the long run, with constant gains.
+"""Complementary filter: the inertial unit gives the fast motion, other sensors the slow one, with constant gains.
 
-    tilt:     dtheta corrected by k_tilt T (a/|a| x R' e3), a the measured specific force
-    heading:  by k_heading T (psi_m - psi) about the vertical
-    position: p by 2 w T_p (p_m - p), v by w^2 T_p (p_m - p), T_p the time between positions
-    bias:     b_g by -k_bias T of the same corrections of the attitude
+    tilt:     the rotation of a sample T is corrected by k_tilt T (a/|a| x R' e3)
+    heading:  the same rotation by k_heading T (psi_m - psi) about the vertical
+    position: p by 2 w T_p (p_m - p), and v by w^2 T_p (p_m - p)
+    bias:     b_g by -k_bias T times the rate of both corrections of the attitude
+
+Here a is the measured specific force, psi_m and p_m are a measured heading and position, and T_p is the time between
+two positions.
 
 In accelerated flight a is not vertical, which disturbs the estimate of the tilt in proportion to k_tilt. A real filter
 has this error too.
@@ -54,7 +57,10 @@ class ComplementaryFilter(NamedTuple):
     position_bandwidth: Annotated[Scalar, Quantity("rad/s", "bandwidth w of position and velocity", at_least=0.0)] = 2.0
 
     def start(self, motion: Motion, random: Random) -> ComplementaryMemory:
-        """The filter at t = 0: it knows the true motion, but not the biases."""
+        """The filter at t = 0: it knows the true motion, but not the biases.
+
+        The first estimated rate is therefore the true one plus the bias of the gyroscopes.
+        """
         sensors = start_sensors(self.sensors, motion, random)
         estimate = motion._replace(rate=motion.rate + sensors.gyro_bias)
         return ComplementaryMemory(estimate, Vec3(0.0, 0.0, 0.0), sensors)
@@ -96,13 +102,21 @@ class ComplementaryFilter(NamedTuple):
         if self.sensors.heading is None:
             return correction
         innovation = wrap_angle(aids.heading - heading_of(attitude))
+        # a heading stands for all samples until the next one, so its gain counts once for each of them
         gain = self.heading_gain * round(self.sensors.heading_period)
         return correction + vertical * jnp.where(aids.has_heading, gain * innovation, 0.0)
 
     def corrected_by_aids(self, position: Vec3, velocity: Vec3, aids: Aids, dt: float) -> tuple[Vec3, Vec3]:
         """Position [m] and velocity [m/s] after the corrections by a position and by a height.
 
-        A delayed position is compared with the position at its time, taken back along the velocity.
+        A delayed reading of the position is compared with the estimate at the time of the reading, which is the present
+        estimate taken back along the velocity. Heights are corrected with the same bandwidth.
+
+        Args:
+            position: Estimated position before the corrections [m].
+            velocity: Estimated velocity before the corrections [m/s].
+            aids: Readings of position and height.
+            dt: Length of a sample [s].
         """
         if self.sensors.position is not None:
             period = dt * round(self.sensors.position_period)
@@ -118,5 +132,5 @@ class ComplementaryFilter(NamedTuple):
         return position, velocity
 
     def nees(self, memory: ComplementaryMemory, motion: Motion) -> Scalar:
-        """0: the filter has no covariance."""
+        """The normalised squared error, which is always 0 here because the filter has no covariance."""
         return 0.0

@@ -176,7 +176,7 @@ class KalmanFilter(NamedTuple):
         """The estimate after the updates by position, height and heading, and the covariance of its error.
 
         A sensor that is None is absent. The corrections of one sample add up to an error state, which is added to the
-        estimate at the end; the attitude is turned by its part.
+        estimate at the end; its attitude part turns the estimated attitude.
         """
         update = Update(memory.covariance, (0.0,) * STATES)
         estimate = memory.estimate
@@ -213,8 +213,9 @@ class KalmanFilter(NamedTuple):
     def nees(self, memory: KalmanMemory, motion: Motion) -> Scalar:
         """Squared error of position, velocity and attitude, normalised by its covariance.
 
-        Its law is chi-squared with 9 degrees of freedom if the covariance is right. A state whose error the covariance
-        takes as determined by those before it does not count, and each such state takes a degree of freedom.
+        If the covariance is right, the result has a chi-squared law with 9 degrees of freedom. By the covariance, the
+        error of a state may follow exactly from the errors of the states before it. Such a state does not count, and
+        the law has one degree of freedom less for each.
         """
         estimate = memory.estimate
         attitude_error = rotation_vector(product(motion.attitude, conjugate(estimate.attitude)))
@@ -250,12 +251,23 @@ def half_drift(dt: float) -> tuple[Sparse, ...]:
 
 
 def entry(covariance: Covariance, i: int, j: int) -> Scalar:
-    """Entry (i, j) of a symmetric matrix of which the lower triangle is stored."""
+    """Entry (i, j) of a symmetric matrix of which the lower triangle is stored.
+
+    Args:
+        covariance: The lower triangle.
+        i: Row, from 0.
+        j: Column, from 0.
+    """
     return covariance[i][j] if i >= j else covariance[j][i]
 
 
 def transformed(covariance: Covariance, rows: tuple[Sparse, ...]) -> Covariance:
-    """The covariance F P F' after a transition F, for a covariance P and the sparse rows of F - I."""
+    """The covariance F P F' after a transition F.
+
+    Args:
+        covariance: The covariance P before.
+        rows: The rows of F - I, most of whose entries are 0.
+    """
     left = []  # F P
     for i in range(STATES):
         line = []
@@ -280,7 +292,8 @@ def transformed(covariance: Covariance, rows: tuple[Sparse, ...]) -> Covariance:
 def heading_row(rotation: Mat3) -> Sparse:
     """The row of a heading: derivative of the yaw by the attitude's part of the error state.
 
-    It is 1 about the vertical axis, and tan theta about the horizontal direction of the body's x axis.
+    The derivative is 1 for a rotation about the vertical axis, and tan theta for one about the horizontal direction of
+    the body's x axis.
     """
     cos2_theta = rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x
     ratio = -rotation.c.x / jnp.maximum(cos2_theta, 1e-12)  # sin theta/cos^2 theta, finite at the singularity
@@ -288,7 +301,7 @@ def heading_row(rotation: Mat3) -> Sparse:
 
 
 class Update(NamedTuple):
-    """The covariance P and the estimated error state, while the readings of a sample are taken in one after another."""
+    """The covariance P and the estimated error state, while the filter takes in the readings of a sample one by one."""
 
     covariance: Covariance
     error: tuple[Scalar, ...]
@@ -328,8 +341,12 @@ def normalised_square(covariance: Covariance, error: tuple[Scalar, ...]) -> Scal
 
     P = L D L' with a lower triangle L of ones on its diagonal and a diagonal D; with z = L^-1 e, the result is the sum
     of z_i^2/D_i. Row i of the factors follows from the rows before it. Where P is singular, D_i is 0 up to rounding for
-    some i, and these terms are left out. After an exact start this is so of the velocity for a sample: its error and
-    that of the position come from the same noise.
+    some i, and these terms are left out. This happens in the first sample after an exact start: there the errors of
+    velocity and position come from the same noise.
+
+    Args:
+        covariance: The covariance P, whose leading block belongs to e.
+        error: The error e of position, velocity and attitude, length 9.
     """
     factor: list[list[Scalar]] = []  # L below its diagonal
     inverse: list[Scalar] = []  # of D

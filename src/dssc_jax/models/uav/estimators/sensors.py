@@ -1,7 +1,7 @@
 """Sensors of a vehicle's estimator: inertial unit, position, height and heading.
 
-The inertial unit gives increments over a sample: of the rotation, of the velocity and of the position, in the body
-frame at its beginning, as units with compensated coning and sculling do. Without noise, bias and scale error they are
+The inertial unit gives increments of rotation, velocity and position over a sample, in the body frame at the start of
+the sample, as units with compensated coning and sculling do. Without noise, bias and scale error the increments are
 those of the true motion, and strapdown integration is exact.
 """
 
@@ -27,7 +27,7 @@ UP = Vec3(0.0, 0.0, GRAVITY)
 
 
 class StartPlace(IntEnum):
-    """Places of the random numbers at t = 0, which tell them apart."""
+    """Numbers that tell the random draws at t = 0 apart."""
 
     GYRO_BIAS = 0
     ACCEL_BIAS = 1
@@ -37,7 +37,7 @@ class StartPlace(IntEnum):
 
 
 class SamplePlace(IntEnum):
-    """Places of the random numbers of a sample, which tell them apart."""
+    """Numbers that tell the random draws of a sample apart."""
 
     GYRO = 0
     ACCEL = 1
@@ -108,7 +108,7 @@ class SensorMemory(NamedTuple):
         previous: The true motion at the last sample.
         gyro_bias: True bias of the gyroscopes [rad/s].
         accel_bias: True bias of the accelerometers [m/s^2].
-        positions: True positions at the last samples [m], the newest first, as many as the delay.
+        positions: True positions at the last samples [m], the newest first; as many as the delay has samples.
     """
 
     previous: Motion
@@ -134,7 +134,7 @@ class Increments(NamedTuple):
 
 
 class Aids(NamedTuple):
-    """Readings of position [m], height [m] and heading [rad] at a sample, each with whether it was taken then."""
+    """Readings of position [m], height [m] and heading [rad] at a sample, with flags whether each was taken there."""
 
     position: Vec3
     has_position: Scalar
@@ -154,7 +154,13 @@ class Random(NamedTuple):
     key: jax.Array
 
     def numbers(self, place: int, std: Scalar | None, count: int) -> tuple[Scalar, ...]:
-        """``count`` numbers with mean 0 and standard deviation ``std``."""
+        """``count`` numbers with mean 0 and standard deviation ``std``.
+
+        Args:
+            place: Number that tells these random numbers apart from others of the same key.
+            std: Standard deviation; None counts as 0.
+            count: How many numbers.
+        """
         if std is None or is_zero(std):
             return (0.0,) * count
         return tuple(number * std for number in standard_normals(jax.random.fold_in(self.key, int(place)), count))
@@ -171,7 +177,8 @@ class Random(NamedTuple):
 def rotation_vector(q: Quaternion) -> Vec3:
     """The rotation vector [rad] of a unit quaternion: the axis times the angle, at most pi.
 
-    Near the zero rotation the angle over its sine cancels, and its limit 2 takes its place.
+    It is the quaternion's imaginary part times angle/sin(angle/2). Near the zero rotation the limit 2 of this quotient
+    stands in its place.
     """
     q = canonical(q)
     imaginary = Vec3(q.x, q.y, q.z)
@@ -184,7 +191,8 @@ def rotation_vector(q: Quaternion) -> Vec3:
 def rotation_of(vector: Vec3) -> Quaternion:
     """The unit quaternion of a rotation vector [rad]; the inverse of :func:`rotation_vector`.
 
-    Near the zero rotation the limit 1/2 takes the place of the quotient.
+    The imaginary part is the vector times sin(angle/2)/angle. Near the zero rotation the limit 1/2 of this quotient
+    stands in its place.
     """
     square = vector.dot(vector)
     size = jnp.sqrt(jnp.maximum(square, 1e-24))
@@ -200,7 +208,7 @@ def heading_of(attitude: Quaternion) -> Scalar:
 
 
 def start_sensors(sensors: Sensors, motion: Motion, random: Random) -> SensorMemory:
-    """The sensors at t = 0, with random biases, as if the vehicle had been at its place before."""
+    """The sensors at t = 0, with random biases and with delayed positions as if the vehicle had rested at its place."""
     return SensorMemory(
         previous=motion,
         gyro_bias=random.vector(StartPlace.GYRO_BIAS, sensors.gyro_bias),
@@ -214,7 +222,7 @@ def sense(
 ) -> tuple[SensorMemory, Increments, Aids]:
     """The readings of all sensors at sample k, from the true motion.
 
-    A reading that is not taken at this sample has a value all the same, beside the flag that says so.
+    A reading that is not taken at this sample has a value nevertheless; its flag tells that the value does not count.
 
     Args:
         sensors: Parameters of the sensors.
@@ -299,9 +307,9 @@ def strapdown_step(motion: Motion, rotation: Mat3, velocity: Vec3, position: Vec
 
     Args:
         motion: The estimate at the sample before.
-        rotation: Matrix R of its attitude, body to inertial.
-        velocity: Increment of the velocity, body axes [m/s].
-        position: Increment of the position, body axes [m].
+        rotation: Matrix R of the estimate's attitude, body to inertial.
+        velocity: Increment of the velocity by the specific force, body axes [m/s].
+        position: Increment of the position by the specific force, body axes [m].
         dt: Length of the sample [s].
     """
     next_velocity = motion.velocity + rotation @ velocity - UP * dt
@@ -310,6 +318,11 @@ def strapdown_step(motion: Motion, rotation: Mat3, velocity: Vec3, position: Vec
 
 
 def is_reading_time(k: Scalar, period: float) -> Scalar:
-    """Whether a sensor with a period [samples] takes a reading at sample k."""
+    """Whether a sensor with a period [samples] takes a reading at sample k.
+
+    Args:
+        k: Index of the sample.
+        period: Time between two readings [samples].
+    """
     count = round(period)
     return k >= 0 if count == 1 else k % count == 0  # with a period of 1 always, without a division

@@ -22,8 +22,8 @@ S = TypeVar("S")
 class SampledInnerLoop(Protocol[S]):
     """Gains of a sampled inner loop, with the functions of its software.
 
-    Its state has the fields ``unallocated``, the moment [N m] that the rotors did not give at the last tick, and
-    ``bounded``, whether the thrust is at its lower limit.
+    The state of the software has the fields ``unallocated``, the moment [N m] that the rotors did not give at the last
+    tick, and ``bounded``, whether the thrust is at its lower limit.
     """
 
     @property
@@ -45,7 +45,13 @@ class SampledInnerLoop(Protocol[S]):
         ...
 
     def trimmed(self, craft: Craft, state: S, trim: Trim) -> S:
-        """The state with integrals that hold an equilibrium; the study's start values add to them."""
+        """The state with integrals that hold an equilibrium; the study's start values add to them.
+
+        Args:
+            craft: The vehicle as the software knows it.
+            state: The state in hover, from :meth:`init`.
+            trim: The equilibrium.
+        """
         ...
 
     def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
@@ -53,11 +59,27 @@ class SampledInnerLoop(Protocol[S]):
         ...
 
     def sample(self, craft: Craft, state: S, readings: Readings, command: Vec3, yaw_command: Scalar, dt: float) -> S:
-        """The state after velocity control at a sample of the outer loop, which commands velocity and yaw rate."""
+        """The state after velocity control at a sample of the outer loop, which commands velocity and yaw rate.
+
+        Args:
+            craft: The vehicle as the software knows it.
+            state: The state before the sample.
+            readings: Measurements.
+            command: Commanded velocity, inertial [m/s].
+            yaw_command: Commanded rate of yaw [rad/s].
+            dt: T_s of the loop [s].
+        """
         ...
 
     def tick(self, craft: Craft, state: S, readings: Readings, dt: float) -> tuple[S, Wrench]:
-        """The state after attitude and rate control at a tick, and the thrust and moment that they demand."""
+        """The state after attitude and rate control at a tick, and the thrust and moment that they demand.
+
+        Args:
+            craft: The vehicle as the software knows it.
+            state: The state before the tick.
+            readings: Measurements.
+            dt: Time since the last tick [s].
+        """
         ...
 
 

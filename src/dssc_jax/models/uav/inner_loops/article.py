@@ -37,7 +37,8 @@ LEAST_LIFT = 0.1 * GRAVITY  # a_z + g is bounded below by g/10
 class ThrustRule(StrEnum):
     """How the thrust follows from the desired acceleration a.
 
-    With ``projection`` its vertical part is a_z + g, whatever the tilt. With ``norm`` it is |a + g e3| times the mass.
+    With ``projection`` the vertical part of the thrust over the mass is a_z + g, whatever the tilt. With ``norm`` the
+    thrust is |a + g e3| times the mass.
     """
 
     PROJECTION = "projection"
@@ -48,8 +49,8 @@ class ThrustRule(StrEnum):
 class AttitudeReference(StrEnum):
     """Whether the desired roll and pitch, phi_d and theta_d, count as constants, or their rates are fed forward.
 
-    With a held command the desired acceleration changes as -k_d v does. Feed-forward then acts as more stiffness,
-    and velocity loops slow down from 1/(s + 1) to 0.8/(s + 0.8).
+    With a held command the desired acceleration changes as -k_d v does. Feed-forward of the rates then acts like more
+    stiffness of the attitude, and slows the velocity loops down from 1/(s + 1) to 0.8/(s + 0.8).
     """
 
     PLAIN = "plain"
@@ -94,9 +95,13 @@ class InnerGains(NamedTuple):
         """The integrals that hold an equilibrium; the study's start values add to the integrals of velocity [m].
 
         The attitude loops have no integral action. Where the equilibrium needs a moment, the desired angles therefore
-        differ from the angles by what makes this moment. The inner loop does not know the drag, and takes the force
-        against it for an acceleration. With feed-forward it therefore also feeds forward rates of the desired angles;
-        a fixed-point iteration makes angles and rates agree.
+        differ from the true angles, so that the attitude loops demand this moment. The inner loop does not know the
+        drag, and takes the force against the drag for an acceleration. With feed-forward it therefore also feeds
+        forward rates of the desired angles; a fixed-point iteration makes angles and rates agree.
+
+        Args:
+            craft: The vehicle as the inner loop knows it.
+            trim: The equilibrium.
         """
         rotation = attitude_from_angles(trim.angles).matrix()
         at = trig_of(rotation)
@@ -164,7 +169,7 @@ class Trig(NamedTuple):
 
 
 class Lean(NamedTuple):
-    """Sides of the right-angled triangles of the desired angles [m/s^2].
+    """Sides of two right-angled triangles, whose angles are the desired roll and pitch [m/s^2].
 
     tan theta_d is ``forward`` over ``up``, and tan phi_d is ``left`` over ``slant``.
     """
@@ -176,7 +181,10 @@ class Lean(NamedTuple):
 
 
 class Demand(NamedTuple):
-    """Demand of the inner loops: thrust [N], moment [N m], rates of the integrals, and whether a_z was bounded."""
+    """Demand of the inner loops: thrust [N], moment [N m], rates of the integrals, and whether a_z was bounded.
+
+    The wanted lift a_z + g is bounded below by ``LEAST_LIFT``.
+    """
 
     thrust: Scalar
     moment: Vec3
@@ -187,7 +195,8 @@ class Demand(NamedTuple):
 def trig_of(rotation: Mat3) -> Trig:
     """Sines and cosines of the Euler angles of a rotation, without inverse functions.
 
-    cos theta >= 0; at the singularity it is floored at 1e-6.
+    The pitch is taken within [-pi/2, pi/2], so that cos theta is not negative. Near the singularity cos theta counts as
+    1e-6, and ``secant`` stays finite.
     """
     square = jnp.maximum(rotation.c.y**2 + rotation.c.z**2, 1e-12)
     secant = 1.0 / jnp.sqrt(square)
@@ -216,6 +225,10 @@ def euler_rates(at: Trig, rate: Vec3) -> Euler:
     """The rates of the Euler angles, W^-1 Omega [rad/s], for a body rate Omega [rad/s].
 
     W is the matrix with Omega = W euler'.
+
+    Args:
+        at: Sines and cosines of the angles.
+        rate: Body rate Omega [rad/s].
     """
     turn = at.sphi * rate.y + at.cphi * rate.z
     psi = turn * at.secant
@@ -259,8 +272,8 @@ def acceleration_for_tilt(phi: Scalar, theta: Scalar, up: Scalar, at: Trig) -> V
 def tilt_error(acceleration: Vec3, at: Trig) -> tuple[Scalar, Scalar]:
     """What roll and pitch lack of the desired ones, (phi_d - phi, theta_d - theta) [rad].
 
-    Each difference is one ``atan2``, of the triangle turned back by the present angle. The vehicle is upright here,
-    because a flip ends the draw.
+    Each difference is one ``atan2``: the triangle is turned back by the present angle first. The vehicle is upright
+    here, because a flip ends the draw.
 
     Args:
         acceleration: a_x, a_y, and a_z + g [m/s^2].

@@ -6,7 +6,7 @@
 
 All derivatives are of the measurement, and there is no compensation of the tilt. The firmware's units are degrees
 and motor commands of 16 bit; here they are radians and shares of the full thrust, so the firmware's gains are converted
-by 180/pi/65535. A roll or pitch command changes each rotor by half of it, and a yaw command by all of it.
+by 180/pi/65535. A roll or pitch command changes each rotor by half the command, and a yaw command by the whole command.
 
 References:
     Bitcraze, crazyflie-firmware, controller_pid.c, position_controller_pid.c, attitude_pid_controller.c, pid.c,
@@ -194,7 +194,8 @@ class CrazyflieGains(NamedTuple):
     def trimmed(self, craft: Craft, state: "CrazyflieState", trim: Trim) -> "CrazyflieState":
         """The state whose integrals hold a trim; their numbers in the study add to it.
 
-        An integral without a gain stays as it is: then nothing holds that part of the trim.
+        The study's start values of the integrals are added to the values that hold the equilibrium. An integral without
+        a gain stays at the study's number, and nothing holds that part of the trim.
         """
         lacking = (trim.thrust - self.hover_thrust(craft)) / craft.full_thrust
         held = Vec3(
@@ -270,8 +271,14 @@ class CrazyflieGains(NamedTuple):
     ) -> tuple["CrazyflieState", Wrench]:
         """Attitude and rate control: from the held angles to thrust and moment.
 
-        Three PIDs turn errors of the angles into desired rates, and three others turn errors of the rates into shares
-        of the largest torques. All angles are wrapped to (-pi, pi].
+        Three PIDs turn errors of the angles into desired rates, and three others turn errors of the rates into torque
+        commands, which :func:`torque_units` converts to moments. Angles of yaw are wrapped to (-pi, pi].
+
+        Args:
+            craft: The vehicle as the software knows it.
+            state: State of the cascade.
+            readings: Measurements.
+            dt: Time since the last tick [s].
         """
         # attitude: from errors of the angles to desired rates
         angles = angles_of(readings.attitude.matrix())
@@ -283,7 +290,7 @@ class CrazyflieGains(NamedTuple):
         gains = (Vec3(*self.attitude_p), Vec3(*self.attitude_i), Vec3(*self.attitude_d))
         bound = Vec3(*self.attitude_integral_max)
         attitude, rates = pid(state.attitude, error, angles, slope, gains, bound, dt)
-        # rates: from their errors to shares of the largest torques
+        # rates: from their errors to torque commands
         slope = (readings.rate - state.rate.measured) * (1.0 / dt)
         gains = (Vec3(*self.rate_p), Vec3(*self.rate_i), Vec3(*self.rate_d))
         bound = Vec3(*self.rate_integral_max)
@@ -355,7 +362,7 @@ def pid(
 def over_gain(value: Scalar, gain: Scalar) -> Scalar:
     """The integral that gives a value; 0 without a gain.
 
-    A gain that is known to be 0 before tracing costs nothing; a traced gain may be 0 in some draws.
+    A gain that is known to be 0 before tracing adds nothing to the program; a traced gain may be 0 in some draws.
     """
     if is_zero(gain):
         return 0.0
@@ -364,7 +371,12 @@ def over_gain(value: Scalar, gain: Scalar) -> Scalar:
 
 
 def heading_velocity(velocity: Vec3, rotation: Mat3) -> Vec3:
-    """A velocity along the heading, to its left, and up [m/s]."""
+    """A velocity along the heading, to its left, and up [m/s].
+
+    Args:
+        velocity: The velocity, inertial axes [m/s].
+        rotation: R, body to inertial, which gives the heading.
+    """
     flat = 1.0 / jnp.sqrt(jnp.maximum(rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x, 1e-12))
     cosine = rotation.a.x * flat
     sine = rotation.b.x * flat

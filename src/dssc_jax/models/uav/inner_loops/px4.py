@@ -264,9 +264,9 @@ class Px4Gains(NamedTuple):
     def within_thrust(self, thrust: Vec3, setpoint: Vec3, error: Vec3, hover: Scalar) -> tuple[Vec3, Vec3]:
         """Thrust within its upper limit, the vertical part first; the velocity error that the integral takes.
 
-        ``thrust_margin`` of the horizontal thrust is kept even where the vertical thrust wants all. A vertical error
-        that drives the thrust beyond a limit is not integrated; a horizontal error is reduced by 2/K_P times the
-        acceleration that the limit takes away (Rundqwist's anti-windup).
+        Up to ``thrust_margin``, the horizontal thrust is kept even where the vertical thrust wants all. The integral
+        does not take a vertical error that drives the thrust beyond a limit. A horizontal error is reduced by 2/K_P
+        times the acceleration that the limit takes away (Rundqwist's anti-windup).
 
         Args:
             thrust: Wanted thrust, inertial, in shares of the full one.
@@ -297,8 +297,8 @@ class Px4Gains(NamedTuple):
     def tick(self, craft: Craft, state: "Px4State", readings: Readings, dt: float) -> tuple["Px4State", Wrench]:
         """Attitude and rate control: from the held attitude to thrust and moment.
 
-        The error of the attitude gives a desired body rate, and a PID with feed-forward turns its error into shares of
-        the largest torques. A torque that the rotors do not give stops the integral.
+        The error of the attitude gives a desired body rate. A PID with feed-forward turns the error of the body rate
+        into torque commands, in shares of the largest torques. A torque that the rotors do not give stops the integral.
         """
         rate = readings.rate
         gyro = state.gyro
@@ -333,7 +333,7 @@ class Px4Gains(NamedTuple):
         is added about the vertical.
         """
         error = product(conjugate(attitude), state.attitude)
-        # seen from the body, the desired body z; the rotation to it without yaw, then the yaw that is left
+        # (x, y, z): the desired body z in body axes; ``reduced`` turns body z to it, and ``yaw`` is left
         x = 2.0 * (error.x * error.z + error.w * error.y)
         y = 2.0 * (error.y * error.z - error.w * error.x)
         z = 1.0 - 2.0 * (error.x * error.x + error.y * error.y)
@@ -366,7 +366,7 @@ class Px4Gains(NamedTuple):
 
 
 class Px4State(NamedTuple):
-    """State of the cascade; what is held goes from a sample of the loop to the ticks within it.
+    """State of the cascade; held values go from a sample of the loop to the ticks within it.
 
     Args:
         velocity_integral: I of the velocity loops [m/s^2].

@@ -14,7 +14,8 @@ from dssc_jax.models.uav.inner_loops.sampled import Craft, half_angle, half_turn
 def torque_units(craft: Craft) -> Vec3:
     """The moment of a torque setpoint of 1 in PX4, whose allocation scales the pseudo-inverse [N m].
 
-    Roll and pitch share one scale, see :func:`dssc_jax.models.uav.desaturation.scales_of`.
+    A setpoint of 1 changes the thrust of a rotor by its limit if the rotor's entry in the column of the allocation is
+    the column's scale. Roll and pitch share one scale, see :func:`dssc_jax.models.uav.desaturation.scales_of`.
     """
     scales = scales_of(craft.allocation)
     tilting = craft.rotor_limit / scales.turning
@@ -24,8 +25,12 @@ def torque_units(craft: Craft) -> Vec3:
 def attitude_of(thrust: Vec3, present: Quaternion) -> Quaternion:
     """The attitude whose body z points along a thrust, at the heading of the present attitude.
 
-    It is R_z(psi) R_y(theta) R_x(phi), from the cosines and sines of half the angles: ``cr`` and ``sr`` of roll, ``cp``
-    and ``sp`` of pitch, ``cy`` and ``sy`` of yaw.
+    The attitude is R_z(psi) R_y(theta) R_x(phi). Its quaternion follows from cosines and sines of half the angles:
+    ``cr`` and ``sr`` of roll, ``cp`` and ``sp`` of pitch, ``cy`` and ``sy`` of yaw.
+
+    Args:
+        thrust: A vector along the wanted thrust, inertial axes, of any length.
+        present: The present attitude, body to inertial.
     """
     rotation = present.matrix()
     flat = 1.0 / jnp.sqrt(jnp.maximum(rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x, 1e-12))

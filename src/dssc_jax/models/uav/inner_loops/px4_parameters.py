@@ -89,7 +89,7 @@ def require_admissible(parameters: Mapping[str, float]) -> None:
     """Require values of PX4's parameters that the cascade admits.
 
     Raises:
-        ConfigError: It does not admit one; the message has PX4's name and unit.
+        ConfigError: A value is not admissible; the message has PX4's name and unit of the parameter.
     """
     quantities = quantities_of(Px4Gains)
     fields = {name: field for field, name in PARAMETERS.items()}
@@ -145,6 +145,11 @@ def triple(field: str, names: tuple[str, str, str], parameters: Mapping[str, flo
     """The gains of roll, pitch and yaw for a field; a gain that the parameters do not set has its default.
 
     PX4 multiplies some gains of the rate loops by a factor, which is 1 unless it is set.
+
+    Args:
+        field: Name of the field in :class:`Px4Gains`.
+        names: PX4's parameters for roll, pitch and yaw.
+        parameters: Values of PX4's parameters by name.
     """
     values = []
     for name, factor, default in zip(names, FACTORS, Px4Gains._field_defaults[field], strict=True):
@@ -154,7 +159,13 @@ def triple(field: str, names: tuple[str, str, str], parameters: Mapping[str, flo
 
 
 def triple_of_degrees(field: str, names: tuple[str, str, str], parameters: Mapping[str, float]) -> list[float]:
-    """The values of roll, pitch and yaw for a field in radians [rad/s], from parameters in degrees."""
+    """The values of roll, pitch and yaw for a field in radians [rad/s], from parameters in degrees.
+
+    Args:
+        field: Name of the field in :class:`Px4Gains`.
+        names: PX4's parameters for roll, pitch and yaw.
+        parameters: Values of PX4's parameters by name.
+    """
     values = []
     for name, default in zip(names, Px4Gains._field_defaults[field], strict=True):
         values.append(math.radians(parameters.get(name, math.degrees(default))))
@@ -162,7 +173,10 @@ def triple_of_degrees(field: str, names: tuple[str, str, str], parameters: Mappi
 
 
 def gains_from(parameters: Mapping[str, float]) -> TomlTable:
-    """The table ``[plant.inner_loop]`` for PX4's parameters MC_ and MPC_; entries that they do not set are left out."""
+    """The table ``[plant.inner_loop]`` for PX4's parameters MC_ and MPC_; entries that they do not set are left out.
+
+    A field of three values is set if the parameters set at least one of them; PX4's defaults fill up the others.
+    """
     table: TomlTable = {"kind": "px4"}
     for field, name in PARAMETERS.items():
         if name in parameters:

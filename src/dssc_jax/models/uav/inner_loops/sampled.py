@@ -38,8 +38,8 @@ class Craft(NamedTuple):
     Args:
         mass: Mass M [kg].
         inertia: Diagonal of the inertia J [kg m^2].
-        allocation: Matrix of (f, M_x, M_y, M_z) -> f_i, with a row for each rotor.
-        moments: Matrix of f_i -> (M_x, M_y, M_z), with a row for each axis.
+        allocation: The matrix from (f, M_x, M_y, M_z) to the rotors' thrusts f_i, shape (n_r, 4).
+        moments: The matrix from the rotors' thrusts f_i to (M_x, M_y, M_z), shape (3, n_r).
         rotor_limit: Largest thrust of a rotor [N].
     """
 
@@ -91,7 +91,10 @@ def attitude_from_angles(angles: Angles) -> Quaternion:
 
 
 def body_angles(upward: Vec3, psi: Scalar) -> Angles:
-    """The angles at which body z points along ``upward``, a vector of length 1, at the yaw ``psi`` [rad]."""
+    """The angles at which body z points along ``upward``, a vector of length 1, at the yaw ``psi`` [rad].
+
+    The roll is in [-pi/2, pi/2].
+    """
     cosine = jnp.cos(psi)
     sine = jnp.sin(psi)
     forward = upward.x * cosine + upward.y * sine
@@ -100,13 +103,17 @@ def body_angles(upward: Vec3, psi: Scalar) -> Angles:
 
 
 def angles_of(rotation: Mat3) -> Vec3:
-    """Roll, pitch and yaw [rad]."""
+    """Roll, pitch and yaw [rad].
+
+    Args:
+        rotation: R = R_z(psi) R_y(theta) R_x(phi), body to inertial.
+    """
     flat = jnp.sqrt(rotation.c.y * rotation.c.y + rotation.c.z * rotation.c.z)
     return Vec3(atan2(rotation.c.y, rotation.c.z), atan2(-rotation.c.x, flat), atan2(rotation.b.x, rotation.a.x))
 
 
 class StartsSettled(Protocol):
-    """What :func:`require_integral` reads of the gains of an inner loop that may start in an equilibrium."""
+    """The fields that :func:`require_integral` reads of an inner loop's gains."""
 
     @property
     def start(self) -> Start:
@@ -124,7 +131,7 @@ def require_integral(gains: StartsSettled, gain: str) -> None:
 
     Args:
         gains: Gains of an inner loop.
-        gain: Name of its integral gain of the vertical velocity.
+        gain: Name of the field with the integral gain of the vertical velocity.
 
     Raises:
         ConfigError: The integrals of velocity are not three, or the start is settled and the gain is 0.
@@ -139,6 +146,10 @@ def require_integral(gains: StartsSettled, gain: str) -> None:
 
 def require_triples(gains: object, names: Iterable[str]) -> None:
     """Require three values, of roll, pitch and yaw, in each of some fields of an inner loop's gains.
+
+    Args:
+        gains: The gains.
+        names: Names of the fields.
 
     Raises:
         ConfigError: A field has another number of values.
@@ -158,31 +169,48 @@ def net_wrench(craft: Craft, thrusts: tuple[Scalar, ...]) -> Wrench:
     """The thrust and moment for which the allocation gives rotor thrusts that are nearest to those.
 
     The thrust is the first row of the allocation's pseudo-inverse times the rotor thrusts.
+
+    Args:
+        craft: The vehicle as the inner loop knows it.
+        thrusts: Thrusts of the rotors [N].
     """
     rows = np.linalg.pinv(np.array(craft.allocation)).tolist()
     return Wrench(dot(rows[0], thrusts), allocated_moment(craft, thrusts))
 
 
 def limited(vector: Vec3, limit: Vec3) -> Vec3:
-    """The vector with each component within [-limit, limit]."""
+    """The vector with each component within [-limit, limit].
+
+    Args:
+        vector: The vector.
+        limit: Largest magnitude of each component.
+    """
     return Vec3(*(clip(value, -bound, bound) for value, bound in zip(vector, limit, strict=True)))
 
 
 def smoothing(cutoff: float | None, dt: float) -> float:
-    """Weight of a new value in a first-order low-pass filter with a cutoff frequency [Hz]; None, no filter: 1."""
+    """Weight of a new value in a first-order low-pass filter with a cutoff frequency [Hz]; None, no filter: 1.
+
+    Args:
+        cutoff: Cutoff frequency [Hz]; None: there is no filter.
+        dt: Time between two values [s].
+    """
     return 1.0 if cutoff is None else dt / (dt + 1.0 / (2.0 * math.pi * cutoff))
 
 
 def blend(old: Vec3, new: Vec3, weight: float) -> Vec3:
     """One step of a first-order low-pass filter.
 
-    ``weight`` is the weight of the new value, from :func:`smoothing`.
+    Args:
+        old: The filtered value so far.
+        new: The new value.
+        weight: Weight of the new value in (0, 1], from :func:`smoothing`; with 1 there is no filter.
     """
     return new if weight == 1.0 else old + (new - old) * weight
 
 
 class LowPass(NamedTuple):
-    """The two last internal values of a second-order filter in direct form II: the last one, and the one before it."""
+    """State of a second-order filter in direct form II: the last internal value, and the one before (``earlier``)."""
 
     last: Vec3
     earlier: Vec3
@@ -191,7 +219,8 @@ class LowPass(NamedTuple):
 def butterworth(cutoff: float, dt: float) -> tuple[float, float, float]:
     """Coefficients (b_0, a_1, a_2) of the second-order Butterworth low-pass with a cutoff frequency [Hz].
 
-    It is sampled every dt [s] by the bilinear transform with prewarping. Its numerator is b_0 (1 + 2/z + 1/z^2).
+    The filter is sampled every dt [s] by the bilinear transform with prewarping. The numerator of its transfer function
+    is b_0 (1 + 2/z + 1/z^2), and the denominator 1 + a_1/z + a_2/z^2.
     """
     c = math.tan(math.pi * cutoff * dt)
     root = 2.0 * math.cos(0.25 * math.pi)
@@ -203,6 +232,11 @@ def settled_low_pass(value: Vec3, cutoff: float, dt: float) -> LowPass:
     """The filter's state after a constant input.
 
     Both internal values are then value/(4 b_0), because the numerator's coefficients sum to 4 b_0.
+
+    Args:
+        value: The input.
+        cutoff: Cutoff frequency [Hz].
+        dt: Time between two values [s].
     """
     b0, _, _ = butterworth(cutoff, dt)
     return LowPass(value * (0.25 / b0), value * (0.25 / b0))
@@ -210,6 +244,12 @@ def settled_low_pass(value: Vec3, cutoff: float, dt: float) -> LowPass:
 
 def low_pass(state: LowPass, value: Vec3, cutoff: float, dt: float) -> tuple[LowPass, Vec3]:
     """One step of the second-order Butterworth low-pass.
+
+    Args:
+        state: The filter's state.
+        value: The new value.
+        cutoff: Cutoff frequency [Hz], below 1/(2 dt).
+        dt: Time between two values [s].
 
     Returns:
         The next state, and the filtered value.
@@ -220,7 +260,10 @@ def low_pass(state: LowPass, value: Vec3, cutoff: float, dt: float) -> tuple[Low
 
 
 def half_angle(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
-    """(cos, sin) of half an angle in (-pi, pi) from those of the angle."""
+    """(cos, sin) of half an angle in (-pi, pi) from those of the angle.
+
+    At an angle near pi the cosine of the half counts as 1e-6, so that the quotient stays finite.
+    """
     half_cosine = jnp.sqrt(jnp.maximum(0.5 * (1.0 + cosine), 1e-12))
     return half_cosine, 0.5 * sine / half_cosine
 
@@ -228,7 +271,8 @@ def half_angle(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
 def half_turn(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
     """(cos, sin) of half an angle of any size, up to the sign of both, which turns nothing.
 
-    The larger of the two is computed by a root, and the smaller one by a quotient, so that nothing cancels.
+    A root gives the larger of the two, and a quotient the smaller one, so that no difference of near numbers loses
+    digits.
     """
     back = cosine < 0.0
     large = jnp.sqrt(0.5 * (1.0 + jnp.abs(cosine)))
