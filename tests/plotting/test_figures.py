@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 
 import dssc_jax as dj
 from dssc_jax.plotting import thinning
-from dssc_jax.plotting.cells import cell_edges
+from dssc_jax.plotting.cells import cell_edges, contour
 from dssc_jax.plotting.style import label
 from dssc_jax.plotting.thinning import PIXEL_COLUMNS, spaced_indices, thinned
 from dssc_jax.results.result import headline_measure
@@ -233,3 +233,13 @@ def test_dollars_in_a_users_words_are_no_mathematics():
 def test_picked_keeps_both_ends():
     assert spaced_indices(3).tolist() == [0, 1, 2]
     assert spaced_indices(100_000, 5).tolist() == [0, 25000, 50000, 74999, 99999]
+
+
+def test_a_contour_at_0_has_no_value_on_its_bad_side():
+    """Minus infinity lies below 0, as a robustness without a value does; NaN lies above."""
+    x, y = np.arange(3.0), np.arange(2.0)
+    for missing, expected in ((-np.inf, True), (np.nan, False)):
+        ax = Figure().add_subplot()
+        contour(ax, x, y, np.array([[missing, 1.0, 1.0], [missing, 1.0, -1.0]]), 0.0, "-")
+        paths = np.vstack([path.vertices for path in ax.collections[0].get_paths()])
+        assert bool((paths[:, 0] < 1.0).any()) == expected

@@ -75,8 +75,7 @@ def contour(ax: Axes, x: np.ndarray, y: np.ndarray, z: np.ndarray, level: float,
         ax: Axes of the map.
         x: Values along the horizontal axis, shape (n,).
         y: Values along the vertical axis, shape (m,).
-        z: Values of the map, shape (m, n); infinity and NaN count as far above the level, minus infinity
-            as far below.
+        z: Values of the map, shape (m, n). Infinity and NaN count as far above the level, minus infinity as far below.
         level: The level.
         style: Style of the line.
     """
@@ -86,7 +85,7 @@ def contour(ax: Axes, x: np.ndarray, y: np.ndarray, z: np.ndarray, level: float,
     if not is_crossed:
         return
     finite = z[np.isfinite(z)]
-    distance = 1e3 * max(float(np.abs(finite - level).max()), abs(level))
+    distance = 1e3 * (float(np.abs(finite - level).max(initial=abs(level))) or 1.0)
     finite_z = np.nan_to_num(z, nan=level + distance, posinf=level + distance, neginf=level - distance)
     lines = ax.contour(x, y, finite_z, levels=(level,), colors="white", linewidths=1.8, linestyles=style)
     lines.set_path_effects(OUTLINE)

@@ -14,6 +14,7 @@ from dssc_jax.analyses.comparison.tuning import (
     best_gains,
     candidate_points,
     gain_ranges,
+    slack_or_metric,
     untuned_reason,
 )
 from dssc_jax.results.manifest import write_sealed
@@ -46,6 +47,21 @@ def test_every_controller_runs_alone_as_in_company(study, found):
     together = found.corresponding.dataset.sel(controller="sta")
     for variable in ("error_rms", "command_tv", "outcome", "plant.k_p", "disturbance.value"):
         assert np.array_equal(alone[variable].values, together[variable].values), variable
+
+
+@pytest.mark.parametrize(
+    ("metrics", "name", "sign"),
+    [
+        ({"names": ["error_rms"]}, "error_rms", -1.0),
+        ({"names": ["gain_margin"]}, "gain_margin", 1.0),
+    ],
+)
+def test_without_requirements_a_tuning_seeks_the_good_side_of_the_first_metric(metrics, name, sign):
+    """Small errors, and large margins."""
+    table = {key: value for key, value in TABLE.items() if key != "requirement"} | {"metrics": metrics}
+    values = np.array([0.5, 2.0, np.nan])
+    found = slack_or_metric(dj.Study.from_table(table), {name: values})
+    np.testing.assert_array_equal(found, [sign * 0.5, sign * 2.0, -np.inf])
 
 
 def test_noise_is_common(study):

@@ -1,5 +1,7 @@
 """The direction of a descent."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -32,3 +34,18 @@ def test_a_slope_counts_beside_a_limit(gradient):
 
 def test_a_slope_counts_where_no_limit_pushes():
     np.testing.assert_array_equal(Multipliers(1.0).gradient(point(CHATTER, excess=-0.5)), CHATTER)
+
+
+@pytest.mark.parametrize("gradient", [[np.nan, np.nan], [np.inf, 1.0]])
+def test_a_slope_of_a_flight_that_ended_early_moves_nothing(gradient):
+    """Without excesses no limit pushes, and the optimiser would keep a NaN."""
+    ended = EvaluatedPoint(np.zeros(2), Merit(math.inf, {}, {}, {}, ended=1), np.array(gradient), {})
+    np.testing.assert_array_equal(Multipliers(1.0).gradient(ended), np.zeros(2))
+
+
+def test_gaps_stay_where_a_training_flight_ended_early():
+    multipliers = Multipliers(1.0)
+    multipliers.gaps = {"command_tv": 0.3}
+    ended = EvaluatedPoint(np.zeros(2), Merit(math.inf, {}, {}, {}, ended=1), np.zeros(2), {})
+    multipliers.update(ended, point([1.0, 1.0], excess=0.2))
+    assert multipliers.gaps == {"command_tv": 0.3}

@@ -233,8 +233,7 @@ def slack_or_metric(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarr
         return worst_slack(study.requirements, results)
     measure = study.measures[0]
     values = results[measure.name]
-    is_large_good = measure.metric.worst < 0.0
-    return np.where(np.isnan(values), -np.inf, values if is_large_good else -values)
+    return np.where(np.isnan(values), -np.inf, values if measure.metric.is_large_good else -values)
 
 
 def candidate_points(

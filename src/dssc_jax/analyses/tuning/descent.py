@@ -69,12 +69,12 @@ class Multipliers:
         """Gradient of the augmented Lagrangian by the search's coordinates, shape (n,).
 
         The objective of a loop that chatters may have a useless, huge slope. In this case only the limits count if one
-        of them pushes.
+        of them pushes. A gradient that is not finite, as where a draw has ended early, counts as 0.
         """
         total = point.gradient / self.scale
         pushes = self.pushes(point)
         is_useful = np.all(np.abs(total) <= STEEPEST)  # False for an overflow, too
-        if not is_useful and any(pushes.values()):
+        if not is_useful and (any(pushes.values()) or not np.isfinite(total).all()):
             total = np.zeros_like(total)
         for name, push in pushes.items():
             total = total + push * point.slopes[name]
@@ -85,10 +85,10 @@ class Multipliers:
 
         Args:
             train: The point, evaluated on the training draws.
-            validation: The same point, evaluated on the validation draws; if one of them ended early, the gaps stay.
+            validation: The same point, evaluated on the validation draws. If a draw ended early, the gaps stay.
         """
         self.values = self.pushes(train)
-        if not validation.merit.ended:
+        if not train.merit.ended and not validation.merit.ended:
             self.gaps = validation_gaps(train.merit, validation.merit)
 
 

@@ -92,16 +92,23 @@ class Metric(NamedTuple):
     settled_within: Callable[[Window], float] | None = None
 
     @property
-    def worst(self) -> float:
-        """The value that replaces NaN: the limit of stability for a margin, else the infinity on the bad side.
+    def is_large_good(self) -> bool:
+        """Whether large values are good.
 
-        Large values are good for the robustness of a formula, and for a metric that can only fall, such as a smallest
-        distance. For all other metrics small values are good.
+        They are for most margins, for the robustness of a formula, and for a metric that can only fall, such as a
+        smallest distance. For all other metrics small values are good.
         """
         if self.margin is not None:
-            return self.margin.kind.worst
+            return self.margin.kind.good == "large"
         is_robustness = self.certain_after is not None
-        return -math.inf if is_robustness or self.course == Course.FALLS else math.inf
+        return is_robustness or self.course == Course.FALLS
+
+    @property
+    def worst(self) -> float:
+        """The value that replaces NaN: the limit of stability for a margin, else the infinity on the bad side."""
+        if self.margin is not None:
+            return self.margin.kind.worst
+        return -math.inf if self.is_large_good else math.inf
 
 
 RISES = Course.RISES
