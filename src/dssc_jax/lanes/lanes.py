@@ -24,13 +24,13 @@ Recall: TypeAlias = Callable[[Callable[[], Signature]], Signature]
 
 
 class CompiledLanes:
-    """The program of a lane as machine code, from the user's cache or compiled.
+    """The program of a lane as machine code, which comes from the user's cache or is compiled.
 
     Args:
         lane: A function of trees of scalars.
         arguments: Its arguments, with ``jax.ShapeDtypeStruct`` in place of each scalar.
-        width: Lanes of a vector; None: by the size of the program.
-        strict: Whether products and sums are never contracted, which gives the same bits on every machine.
+        width: Number of lanes in a vector; None: chosen by the size of the program and the processor.
+        strict: Whether products and sums are never contracted, so that every machine computes the same bits.
         recall: Finds the signature in a cache, so that the lane need not be traced; None: the lane is traced.
 
     Raises:
@@ -52,12 +52,12 @@ class CompiledLanes:
         self._code = self.load(cached(self.signature.code, self.compiled))
 
     def _signature(self) -> Signature:
-        """The signature of the lane's machine code, for which the lane is traced."""
+        """Trace the lane, and return the signature of its machine code."""
         return self.traced.signature
 
     @cached_property
     def traced(self) -> "TracedLanes":
-        """The program and its text for LLVM, in the precision that JAX had when this object was made."""
+        """The program and its text for LLVM, traced in the precision that JAX had when this object was made."""
         with jax.enable_x64(self._has_64_bits), np.errstate(all="ignore"):
             return self.translated(*self._request)
 
@@ -106,7 +106,17 @@ class CompiledLanes:
         return wait_for_results
 
     def start_timed(self, arguments: Any, count: int, threads: int) -> Callable[[], tuple[Any, float]]:
-        """As :meth:`start`; the function also returns when the lanes ended, a time of :func:`time.perf_counter`."""
+        """Begin to run a batch of lanes, and measure when it ends.
+
+        Args:
+            arguments: The lane's arguments, with a column of shape (n,) in place of each scalar.
+            count: Number of lanes n.
+            threads: Number of threads.
+
+        Returns:
+            A function that waits, and returns the tree of results, as that of :meth:`start`, and the time
+            [s, :func:`time.perf_counter`] at which the lanes ended.
+        """
         signature = self.signature
         lanes = whole_multiple(count, signature.width)
         inputs = [
@@ -120,7 +130,7 @@ class CompiledLanes:
         wait = self._code.start(inputs, outputs, lanes, signature.width, threads)
 
         def wait_for_results() -> tuple[Any, float]:
-            """Wait for the lanes; return the tree of results without the padding, and when the lanes ended."""
+            """Wait for the lanes; return the tree of results without the padded lanes, and the time of the end [s]."""
             end_time = wait()
             group = self.interleaved(lanes)
             arrays = []
@@ -138,10 +148,10 @@ def whole_multiple(count: int, width: int) -> int:
 
 
 def in_order(column: np.ndarray, length: int | None, width: int) -> np.ndarray:
-    """One result of all lanes, in the order of the lanes.
+    """Return one result of all lanes in the order of the lanes, from the order in which the machine code stores it.
 
     Args:
-        column: The numbers as they are stored.
+        column: The stored numbers.
         length: Length of a recording; None: a number for each lane.
         width: Number of neighbouring lanes whose recordings are stored sample by sample.
 

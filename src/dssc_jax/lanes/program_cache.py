@@ -43,9 +43,9 @@ class ProgramCache:
         self.limit = limit
 
     def get(self, key: str) -> bytes | None:
-        """The program stored under a name; None if there is none.
+        """Return the program stored under a name; None if the cache has no such program.
 
-        A file that does not match its digest is deleted, with a message, and counts as none.
+        A file that does not match its digest is deleted, with a message, and the result is None.
         """
         file = self._file(key)
         try:
@@ -78,7 +78,7 @@ class ProgramCache:
             self._make_room()
 
     def _file(self, key: str) -> Path:
-        """The file of the program of a name."""
+        """Return the path of the file that holds the program of a name."""
         return self._path / f"{key}.program"
 
     def _make_room(self) -> None:
@@ -111,7 +111,7 @@ def read_file(path: Path) -> bytes:
     """The content of a regular file.
 
     Raises:
-        OSError: It cannot be read, or is no regular file, such as a named pipe, which could block.
+        OSError: The file cannot be read, or is not regular; a named pipe, for example, could block the process.
     """
     if not path.is_file():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
@@ -136,15 +136,15 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def digest(key: str, program: bytes) -> bytes:
-    """The digest of a name and its program, with which the program's file begins."""
+    """Return the digest of a name and its program, with which the program's file begins."""
     return hashlib.sha256(key.encode() + b"\n" + program).digest()
 
 
 def cached(name: str, make: Callable[[], bytes]) -> bytes:
-    """The program of a name from the user's cache; if there is none, it is made and stored.
+    """Return the program of a name from the user's cache; if the cache has none, make the program and store it.
 
     Args:
-        name: Name that differs whenever anything differs on which the program depends.
+        name: Name of the program. It must differ whenever anything differs on which the program depends.
         make: Makes the program.
     """
     folder = cache_directory()
@@ -167,7 +167,7 @@ def warn_of_cache(folder: Path, reason: str) -> None:
 
     Args:
         folder: Folder of the cache.
-        reason: The system's reason.
+        reason: Why nothing can be stored, in the system's words.
     """
     if folder in UNUSABLE:
         return
