@@ -17,7 +17,7 @@ def bisect(
         holds: Tells whether the condition holds at the middle of each interval; argument and result have the shape of
             ``inside``.
         inside: The end of each interval at which the condition holds; a number, or shape (n,).
-        outside: The other end of each interval, of the same shape, where the condition fails; above or below ``inside``.
+        outside: The other end of each interval, at which the condition fails; same shape, above or below ``inside``.
         halvings: Number of halvings.
 
     Returns:

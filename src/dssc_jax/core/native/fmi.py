@@ -1,7 +1,7 @@
 """Functional mock-up units (FMU): the calls of co-simulation in FMI 2.0 and 3.0.
 
-FMPy reads an FMU, unpacks it and loads its library. The calls of a step go from here to that library directly, with
-arrays that stay in place, because they are made once for each sample of each draw.
+FMPy reads an FMU, unpacks it and loads its library. The calls of a step go from here directly to that library, with
+arrays that stay in place, because such a call is made for each sample of each draw.
 
 References:
     Functional Mock-up Interface Specification, versions 2.0.4 (sections 2.1 and 4.2) and 3.0.1 (section 4).
@@ -67,7 +67,11 @@ class FmiCalls(ABC):
     "The last message of the FMU; empty before the first."
 
     def note(self, *message: object) -> None:
-        """Keep the text of a message that the FMU logs: the last of the arguments of its call."""
+        """Keep the text of a message that the FMU logs.
+
+        Args:
+            message: All arguments of the FMU's call of its logger, of which the last one is the text.
+        """
         text = message[-1]
         self.last_message = text.decode("utf-8", "replace") if isinstance(text, bytes) else ""
 
@@ -76,7 +80,7 @@ class FmiCalls(ABC):
         """Make a new instance, and return its address.
 
         Raises:
-            FmiError: The library makes none.
+            FmiError: The library makes no instance.
         """
 
     @abstractmethod
@@ -104,23 +108,23 @@ def require_success(function: str, status: int) -> None:
     """Require that a call of an FMU has succeeded.
 
     Args:
-        function: The function that was called, for the message.
-        status: The status that it returned.
+        function: Name of the function that was called, for the message.
+        status: The status that the function returned.
 
     Raises:
-        FmiError: The status tells a failure.
+        FmiError: The status is above :data:`WARNING`.
     """
     if status > WARNING:
         raise FmiError(f"{function} fails with status {status}")
 
 
 def status_function(library: ctypes.CDLL, name: str, *types: type) -> StatusCall:
-    """A function of an FMU's library that returns a status, as a function of Python.
+    """Return a function of an FMU's library that returns a status, in a form that Python can call.
 
     Args:
         library: The library.
         name: Name of the function.
-        types: Types of its arguments in C.
+        types: Types of the function's arguments in C.
     """
     return ctypes.CFUNCTYPE(ctypes.c_int, *types)((name, library))
 
