@@ -35,7 +35,7 @@ def linear_derivative(
     """
 
     def derivative(params: Params, state: State, drive: PlantInput[Scalar], t: Scalar) -> State:
-        """The derivative of the state; a linear plant does not change with time."""
+        """Return the derivative of the state; the time has no effect, since a linear plant does not change with it."""
         del t
         dynamics = linear(params)
         (command,) = dynamics.command
@@ -99,7 +99,7 @@ def with_channel_count(reference: Reference[ReferencePoints], count: int) -> Ref
     """Return a reference of several channels with ``count`` channels: cut, or extended by channels that stay at 0."""
 
     def at(params: Params, t: Scalar) -> ReferencePoints:
-        """The desired points of ``count`` channels at t [s]."""
+        """Return the desired points of ``count`` channels at t [s]."""
         points = tuple(reference.at(params, t))[:count]
         return points + (ReferencePoint(0.0, 0.0, 0.0),) * (count - len(points))
 
@@ -129,7 +129,7 @@ def replace_channels(
     """
 
     def at(params: ReplacedParams, t: Scalar) -> ReferencePoints:
-        """The desired points of all channels at t [s]."""
+        """Return the desired points of all channels at t [s]."""
         points = list(joint.at(params.joint, t))
         for (index, reference), channel_params in zip(replacements.items(), params.replacements, strict=True):
             points[index] = reference.at(channel_params, t)
@@ -162,7 +162,7 @@ def separate_init(parts: Sequence[Wind | Disturbance]) -> Callable[[tuple[Params
     """
 
     def init(params: tuple[Params, ...], key: jax.Array) -> tuple[State, ...]:
-        """The state of each part before the first sample."""
+        """Return the state of each part before the first sample."""
         states = []
         for index, (part, part_params) in enumerate(zip(parts, params, strict=True)):
             states.append(part.init(part_params, jax.random.fold_in(key, index)))
@@ -182,7 +182,7 @@ def separate_step(
     def step(
         params: tuple[Params, ...], state: tuple[State, ...], key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[State, ...]:
-        """The state of each part over the sample [t, t + dt)."""
+        """Return the state of each part for the sample [t, t + dt)."""
         states = []
         for index, (part, part_params, part_state) in enumerate(zip(parts, params, state, strict=True)):
             states.append(part.step(part_params, part_state, jax.random.fold_in(key, index), t, dt))
@@ -195,7 +195,7 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
     """Return the sum of several winds as one wind, whose parameters and state are tuples with an element a part."""
 
     def value(params: tuple[Params, ...], state: tuple[State, ...], t: Scalar) -> Vec3:
-        """The sum of the parts' velocities at t [m/s]."""
+        """Return the sum of the parts' velocities at t [m/s]."""
         total = Vec3(0.0, 0.0, 0.0)
         for wind, wind_params, wind_state in zip(parts, params, state, strict=True):
             total = total + wind.value(wind_params, wind_state, t)
@@ -212,7 +212,7 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
         return WindBounds(speed, vertical, rate=None if may_jump else sum(rates))
 
     def mean(params: tuple[Params, ...], dt: Scalar) -> Vec3:
-        """The sum of the parts' expected velocities over the first sample [m/s]."""
+        """Return the sum of the parts' expected velocities over the first sample, of length dt [m/s]."""
         total = Vec3(0.0, 0.0, 0.0)
         for wind, wind_params in zip(parts, params, strict=True):
             total = total + wind.at_start(wind_params, dt)
@@ -244,7 +244,7 @@ def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
     def value(
         params: tuple[Params, ...], state: tuple[State, ...], measurement: Measurement, sigma: Scalar, t: Scalar
     ) -> Scalar:
-        """The sum of the parts' values."""
+        """Return the sum of the parts' values, in the unit of the command [u]."""
         total: Scalar = 0.0
         for part, part_params, part_state in zip(parts, params, state, strict=True):
             total = total + part.value(part_params, part_state, measurement, sigma, t)
@@ -323,14 +323,14 @@ def linear_unmodelled(
     """
 
     def step(values: Params, state: State, command: Scalar, dt: Scalar) -> State:
-        """The state after dt with the command held."""
+        """Return the state after the time dt [s] with the command held."""
         system = linear(values)
         x, structure = jax.tree.flatten(state)
         held_system = hold(system.a, (Forcing(system.b, terms=1),), dt)
         return structure.unflatten(held_system.full.apply(x, ((command,),)))
 
     def output(values: Params, state: State, command: Scalar) -> Scalar:
-        """The output y = c x + d u that reaches the plant."""
+        """Return the output y = c x + d u, the command that reaches the plant."""
         system = linear(values)
         return dot((*system.c, system.d), (*jax.tree.leaves(state), command))
 

@@ -97,7 +97,7 @@ def linear_stage(
     transitions = [hold(system.a, (forcing,), share * dt).full for share in NODES[1:]]
 
     def stage(states: States, source: Course) -> tuple[dict[int, State], Course]:
-        """The elements' states after the step, and their output, for the straight line of the input."""
+        """Return the elements' states after the step, and the last one's output, for the straight line of the input."""
         leaves, structure = jax.tree.flatten([states[index] for index in indices])
         line = source.line
         solutions = [tuple(leaves)]

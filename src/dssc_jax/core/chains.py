@@ -124,7 +124,7 @@ class Chain:
         return bool(self.arrangement.integrated)
 
     def init(self, params: Values) -> States:
-        """The states of all actuators at rest."""
+        """Return the states of all actuators at rest."""
         return tuple(model.init(p) for model, p in zip(self.models, params, strict=True))
 
     def sample(self, params: Values, states: States, command: Scalar, key: jax.Array, dt: Scalar) -> States:
@@ -185,7 +185,7 @@ class Chain:
         return move
 
     def step(self, params: Values, states: States, command: Scalar, dt: Scalar) -> States:
-        """The states of all actuators after a step with the command held."""
+        """Return the states of all actuators after a step of length dt [s] with the command held."""
         move = self.advance(params, dt)
         next_states, line = move(states, command)
         if not self.arrangement.linear:
@@ -286,7 +286,7 @@ def substitution(
     """
 
     def substitute(params: Values) -> tuple[Unmodelled, Values]:
-        """The chain with substitutes, and its parameters."""
+        """Return the chain with the substitutes, and its parameters."""
         substitutes = list(elements)
         values = list(params)
         for index in indices:

@@ -79,11 +79,11 @@ def open_regular_file(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: str | Path, size: int = -1) -> bytes:
-    """The content of a regular file; errors as for :func:`open_regular_file`.
+    """Return the content of a regular file; raise the errors of :func:`open_regular_file`.
 
     Args:
         path: The file.
-        size: Most bytes to read; -1: all.
+        size: Largest number of bytes to read; -1: all.
     """
     with open_regular_file(path) as file:
         return file.read(size)
@@ -107,7 +107,7 @@ def require_readable(path: Path, mode: int) -> None:
 
 
 def read_text(path: str | Path, errors: str = "strict") -> str:
-    """The content of a regular UTF-8 file, with line ends as ``\\n``.
+    """Return the content of a regular UTF-8 file, with line ends as ``\\n``.
 
     Args:
         path: The file.
@@ -115,18 +115,18 @@ def read_text(path: str | Path, errors: str = "strict") -> str:
 
     Raises:
         UnicodeDecodeError: The file is not UTF-8, and ``errors`` is ``strict``.
-        OSError: As for :func:`open_regular_file`.
+        OSError: The file cannot be read, or is not regular.
     """
     text = read_bytes(path).decode("utf-8", errors)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def write_text(path: Path, text: str | Iterable[str], within: Path | None = None, durable: bool = True) -> None:
-    """Write a UTF-8 file completely, or not at all; errors as for :func:`replacing`.
+    """Write a UTF-8 file completely, or not at all; raise the errors of :func:`replacing`.
 
     Args:
         path: The file.
-        text: Its content, or the parts of it.
+        text: The content of the file, or the parts of the content in order.
         within: See :func:`replacing`.
         durable: See :func:`replacing`.
     """
@@ -137,13 +137,13 @@ def write_text(path: Path, text: str | Iterable[str], within: Path | None = None
 
 
 def write_bytes(path: Path, content: bytes | memoryview, within: Path | None = None, durable: bool = True) -> None:
-    """Write a file completely, or not at all; arguments and errors as for :func:`replacing`."""
+    """Write a file with ``content`` completely, or not at all; for other arguments and errors see :func:`replacing`."""
     with replacing(path, within, durable) as file:
         file.write(content)
 
 
 def write_parts(path: Path, parts: Iterable[bytes]) -> None:
-    """Write a file completely from its parts, or not at all; errors as for :func:`replacing`."""
+    """Write a file, given the parts of its content, completely or not at all; raise the errors of :func:`replacing`."""
     with replacing(path) as file:
         for part in parts:
             file.write(part)

@@ -20,7 +20,7 @@ class Quantity:
         law: Whether a probability law may replace the number.
         data: Whether the number is one of many values of a record, which have no names in the study.
         leading: Whether the number is among the few for which an exploration shows sliders at first.
-        begins: Whether the number is the time at which an effect begins. A time after the end of the loop is a mistake.
+        begins: Whether the number is the time at which an effect begins; after the end of the loop it has no effect.
         ends: Whether the number is the time at which an effect ends.
         periodic: Whether the number is an angle that begins again after a turn.
         whole: Whether the number is a whole one, whose law is a choice of whole numbers.

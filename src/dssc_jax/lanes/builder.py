@@ -172,6 +172,10 @@ class Builder:
         """Return an equal product or quotient with fewer operations in inner blocks; None if no such form is known.
 
         Equal means: up to rounding. Sums are never regrouped, because the order of a sum decides what cancels.
+
+        Args:
+            operation: The operation; any other than "div" and "mul" gives None.
+            operands: The operands, floating-point numbers.
         """
         if operation == "div":
             dividend, divisor = operands

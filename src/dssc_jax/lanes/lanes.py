@@ -64,7 +64,14 @@ class CompiledLanes:
     def translated(
         self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool
     ) -> "TracedLanes":
-        """Trace a lane; return its program and its text for LLVM."""
+        """Trace a lane; return the lane's program and the program's text for LLVM.
+
+        Args:
+            lane: A function of trees of scalars.
+            arguments: Its arguments, with ``jax.ShapeDtypeStruct`` in place of each scalar.
+            width: Number of lanes in a vector; None: chosen by the size of the program and the processor.
+            strict: Whether products and sums are never contracted.
+        """
         from dssc_jax.lanes.traced_lanes import TracedLanes  # not needed if the cache has the program
 
         return TracedLanes(lane, arguments, width, strict)

@@ -62,9 +62,13 @@ class ProgramCache:
         return None
 
     def put(self, key: str, value: bytes) -> None:
-        """Store a program under its name, and at random times delete old ones.
+        """Store a program under its name, and at random times delete old programs.
 
         Deletion searches the whole folder, on average SEARCHES times while ``limit`` bytes are written.
+
+        Args:
+            key: The name.
+            value: The program.
 
         Raises:
             OSError: The program cannot be written.
@@ -119,10 +123,10 @@ def read_file(path: Path) -> bytes:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file completely, or not at all, by a temporary file that is moved into its place.
+    """Write a file completely, or not at all, by a temporary file that is moved into the file's place.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The file cannot be written, or the path leads to something other than a regular file.
     """
     if path.exists() and not path.is_file():
         raise FileExistsError(errno.EEXIST, "is no regular file", str(path))

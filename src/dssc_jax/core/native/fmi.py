@@ -169,7 +169,7 @@ class Fmi2Calls(FmiCalls):
         self._step = status_function(functions, "fmi2DoStep", ADDRESS, REAL, REAL, FLAG)
 
     def instantiate(self, name: str) -> int:
-        """Make a new instance, and return its address."""
+        """Make a new instance, and return its address; raise FmiError if the library makes none."""
         co_simulation = 1
         visible = 0
         logging = 0
@@ -182,7 +182,7 @@ class Fmi2Calls(FmiCalls):
         return instance
 
     def initialise(self, instance: int) -> None:
-        """Start an instance at t = 0, without tolerance and end."""
+        """Start an instance at t = 0, without a tolerance and without an end time; raise FmiError if a call fails."""
         # each flag 0 tells that the number behind it is not defined
         tolerance = 0, 0.0
         stop = 0, 0.0
@@ -230,7 +230,7 @@ class Fmi3Calls(FmiCalls):
         self._step = status_function(functions, "fmi3DoStep", ADDRESS, REAL, REAL, TRUTH, *outcome_types)
 
     def instantiate(self, name: str) -> int:
-        """Make a new instance, and return its address."""
+        """Make a new instance, and return its address; raise FmiError if the library makes none."""
         options = (False, False, False, False)  # visible, logging, event mode, early return
         instance = self._slave.fmi3InstantiateCoSimulation(
             name.encode(),
@@ -248,7 +248,7 @@ class Fmi3Calls(FmiCalls):
         return instance
 
     def initialise(self, instance: int) -> None:
-        """Start an instance at t = 0, without tolerance and end."""
+        """Start an instance at t = 0, without a tolerance and without an end time; raise FmiError if a call fails."""
         # each flag False tells that the number behind it is not defined
         tolerance = False, 0.0
         stop = False, 0.0

@@ -274,7 +274,7 @@ def require_co_simulation(path: Path, description: "ModelDescription") -> None:
     """Require that an FMU has co-simulation, may have many instances, and runs without its tool.
 
     Raises:
-        ConfigError: One of the three does not hold.
+        ConfigError: The FMU lacks co-simulation, allows a process only one instance, or needs its tool.
     """
     simulation = description.coSimulation
     if simulation is None:

@@ -31,7 +31,14 @@ class KernelLanes(CompiledLanes):
     def translated(
         self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool
     ) -> "TracedKernel":
-        """Trace a lane; return its program and the kernel's text for LLVM. ``width`` has no effect."""
+        """Trace a lane; return the lane's program and the kernel's text for LLVM.
+
+        Args:
+            lane: A function of trees of scalars.
+            arguments: Its arguments, with ``jax.ShapeDtypeStruct`` in place of each scalar.
+            width: Without effect: a thread has one lane.
+            strict: Whether products and sums are never contracted.
+        """
         from dssc_jax.lanes.gpu.kernel_text import TracedKernel  # not needed if the cache has the kernel
 
         return TracedKernel(lane, arguments, strict)

@@ -96,12 +96,17 @@ class FunctionText:
         return f"{prefix}{self.count}"
 
     def kind(self, dtype: np.dtype, vector: bool) -> str:
-        """Return LLVM's type of a scalar of a dtype, or of a vector of lanes if ``vector`` and there are several."""
+        """Return LLVM's type of a scalar or, if ``vector`` and a vector has several lanes, of a vector of lanes."""
         scalar = scalar_type(dtype)
         return f"<{self.width} x {scalar}>" if vector and self.width > 1 else scalar
 
     def emit(self, text: str, prefix: str = "v") -> str:
-        """Write an instruction; return the register of its result."""
+        """Write an instruction; return the register of its result.
+
+        Args:
+            text: The instruction, without the result.
+            prefix: Prefix of the register's name.
+        """
         name = f"%{self.new_name(prefix)}"
         self.lines.append(f"  {name} = {text}")
         return name
@@ -140,7 +145,12 @@ class FunctionText:
         return value.varying and self.width > 1
 
     def splat(self, dtype: np.dtype, name: str) -> str:
-        """Write a vector whose elements all equal the scalar in a register; return its register."""
+        """Write the instructions for a vector whose elements all equal a scalar; return the vector's register.
+
+        Args:
+            dtype: Dtype of the scalar.
+            name: Register of the scalar.
+        """
         scalar = scalar_type(dtype)
         kind = self.kind(dtype, True)
         inserted = self.emit(f"insertelement {kind} poison, {scalar} {name}, i64 0", "s")

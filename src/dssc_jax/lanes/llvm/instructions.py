@@ -95,7 +95,12 @@ class Instructions(FunctionText):
         return self.arithmetic(operation, dtype, wide, names)
 
     def input(self, value: Value, wide: bool) -> str:
-        """Write the instructions that load an input of the lanes; return its register."""
+        """Write the instructions that load an input; return its register.
+
+        Args:
+            value: The input; its detail is the position among the inputs.
+            wide: Whether to load the elements of a whole vector of lanes.
+        """
         column = self.column("inputs", value.detail)
         dtype = stored_type(value.dtype)
         place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 %lane")

@@ -166,7 +166,10 @@ class LoadedCode:
     def start(
         self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
     ) -> Callable[[], float]:
-        """Begin to run all lanes; see :class:`~dssc_jax.lanes.interface.Loaded`."""
+        """Begin to run all lanes on ``threads`` threads; see :class:`~dssc_jax.lanes.interface.Loaded`.
+
+        The batch is divided into parts of whole vectors. A thread that has finished a part takes the next one.
+        """
         vectors_of_part = max(1, rounded_up(lanes, width * threads * PARTS))
         part = vectors_of_part * width  # lanes that a thread takes at once
         first_lanes = iter(range(0, lanes, part))
@@ -205,7 +208,7 @@ class LoadedCode:
 
 
 def rounded_up(numerator: int, denominator: int) -> int:
-    """The quotient of two positive integers, rounded up to a whole number."""
+    """Return the quotient of two positive integers, rounded up to a whole number."""
     return -(-numerator // denominator)
 
 

@@ -70,6 +70,10 @@ def states_in_delay(loop: CodeLoop, position: int) -> int:
     """Return the number of states through which a number, or its negative, moves turn by turn up to this state.
 
     The number is 1 for a state that each turn computes anew, and k for the last state of a delay by k turns.
+
+    Args:
+        loop: The loop.
+        position: Position of the state.
     """
     visited = set[int]()
     while position not in visited:
@@ -86,7 +90,7 @@ def states_in_delay(loop: CodeLoop, position: int) -> int:
 
 
 def loops_of(block: CodeBlock) -> list[CodeLoop]:
-    """All loops of a block and of the blocks within it."""
+    """Return all loops of a block and of the blocks within the block."""
     return [node for inner in all_blocks(block) for node in inner.nodes if isinstance(node, CodeLoop)]
 
 

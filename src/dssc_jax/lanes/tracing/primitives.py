@@ -43,7 +43,7 @@ def larger_or_smaller(operation: str) -> ElementRule:
     """Return the translation of ``max`` or ``min``; for truth values these are "or" and "and"."""
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-        """The larger or smaller operand."""
+        """Return the larger or smaller operand."""
         logic = {"max": "or", "min": "and"}
         return build.add(logic[operation] if dtype == BOOL else operation, *operands)
 
@@ -58,7 +58,7 @@ def division(operation: str) -> ElementRule:
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-        """The quotient or remainder; the machine divides by 1 where the divisor is 0 or -1."""
+        """Return the quotient or remainder; the machine divides by 1 where the divisor is 0 or -1."""
         x, y = operands
         if dtype.kind == "f":
             return build.add(operation, x, y)
@@ -90,7 +90,7 @@ def shift(operation: str, treated_as: str = "") -> ElementRule:
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-        """The shifted operand; the machine shifts by less than the width, which it must not reach."""
+        """Return the shifted operand; the machine must not shift by the width or more, so the count is limited."""
         width = 8 * dtype.itemsize
         unsigned = np.dtype(f"u{dtype.itemsize}")
         kind = np.dtype(f"{treated_as or dtype.kind}{dtype.itemsize}")
@@ -105,7 +105,7 @@ def shift(operation: str, treated_as: str = "") -> ElementRule:
 
 
 def sign_of(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """Return the sign of the operand, -1 or 1; the operand itself if it is a zero or NaN. ``params`` are not needed."""
+    """``lax.sign``: -1 or 1, or the operand itself if it is a zero or NaN; the arguments are an ElementRule's."""
     x = operands[0]
     zero = build.constant(0, dtype)
     sign_unless_positive = x
@@ -166,7 +166,7 @@ def whole_power(build: Builder, x: Value, exponent: int) -> Value:
 
 
 def is_finite(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """Return the truth value whether the operand is neither infinite nor NaN."""
+    """``lax.is_finite``: the truth value whether the operand is neither infinite nor NaN."""
     x = operands[0]
     return build.add("lt", build.add("abs", x), build.constant(np.inf, x.dtype))
 
@@ -190,13 +190,13 @@ def in_total_order(operation: str) -> ElementRule:
 
 
 def complement(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The operand with every bit inverted."""
+    """``lax.bitwise_not``: the operand with every bit inverted; a truth value is negated."""
     all_bits = build.constant(True if dtype == BOOL else -1, dtype)
     return build.add("xor", operands[0], all_bits)
 
 
 def same_value(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The operand itself."""
+    """Return the operand itself, for primitives that change nothing in a lane, such as ``lax.stop_gradient``."""
     return operands[0]
 
 
@@ -237,22 +237,22 @@ def integer_power(build: Builder, operands: Sequence[Value], params: Parameters,
 
 
 def square(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The square of the operand."""
+    """``lax.square``: the square of the operand."""
     return build.add("mul", operands[0], operands[0])
 
 
 def reciprocal_root(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The reciprocal of the operand's square root."""
+    """``lax.rsqrt``: the reciprocal of the operand's square root, which costs a root and a division."""
     return build.add("div", build.constant(1, dtype), build.add("sqrt", operands[0]))
 
 
 def same_bits(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The operand's bits as a number of the result's dtype."""
+    """``lax.bitcast_convert_type``: the number of the result's dtype that has the operand's bits."""
     return build.add("bitcast", *operands, dtype=dtype)
 
 
 def rounding(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The whole number nearest to the operand, by the method of the equation."""
+    """``lax.round``: the whole number nearest to the operand; the equation's parameter is the rule for halves."""
     return nearest_whole(build, operands[0], params["rounding_method"].name)
 
 
