@@ -27,7 +27,7 @@ class Course(NamedTuple):
 
     Args:
         nodes: Values of the signal at :data:`NODES`.
-        line: The straight line with the mean and the first moment of the signal.
+        line: The straight line that has the mean and the first moment of the signal over the step.
     """
 
     nodes: tuple[Scalar, ...]

@@ -52,7 +52,7 @@ Desired = TypeVar("Desired", bound=ReferencePoint | ReferencePoints)
 
 
 class NoParams(NamedTuple):
-    """The parameters of a model that has none."""
+    """The parameters of a model that has no parameters."""
 
 
 class Plant(NamedTuple, Generic[Output, Signal]):
@@ -239,7 +239,7 @@ class Reference(NamedTuple, Generic[Desired]):
             it ends; None: 0.
         of_angle: The reference in place of this one for an output that is an angle, such as one that takes the shorter
             way from value to value; None: this reference serves all outputs.
-        last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
+        last_change: Time from which the reference does nothing new; None: ``[loop.settled]`` refuses it.
     """
 
     params: type
@@ -272,8 +272,8 @@ class Disturbance(NamedTuple):
         value: ``(params, state, measurement, sigma, t) -> d``, evaluated in every stage of the integrator.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         variation: Variables on which ``value`` depends within a sample.
-        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
-        last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
+        smooth: Where ``value`` has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
+        last_change: Time from which the disturbance does nothing new; None: ``[loop.settled]`` refuses it.
     """
 
     params: type

@@ -92,7 +92,7 @@ class SensorEvent(NamedTuple):
 
     Args:
         params: NamedTuple type of the parameters.
-        wrap: ``(sensor) -> sensor`` with the event, whose parameters are :class:`Wrapped`.
+        wrap: ``(sensor) -> sensor`` with the event; the parameters of the returned sensor are :class:`Wrapped`.
         changes: Name, in words, of the number of the loop that the event changes.
         prepare: ``(params) -> params`` before tracing; raises ConfigError.
         last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
@@ -170,7 +170,7 @@ def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
 def condition_at(
     events: tuple[VehicleEvent, ...], params: tuple[Params, ...], t: Scalar, dt: Scalar, rotors: int
 ) -> Condition | None:
-    """The condition of the vehicle in the sample [t, t + dt); None if the study has no events of the vehicle.
+    """Return the condition of the vehicle in the sample [t, t + dt); None if the study has no events of the vehicle.
 
     Args:
         events: The events in the order of the study.

@@ -389,6 +389,6 @@ class HeldFolder:
 
 
 def device_and_inode(path: Path) -> tuple[int, int]:
-    """Device and inode of a file or folder, which identify it among all that exist at the same time."""
+    """Return device and inode of a file or folder, which no other file or folder has at the same time."""
     status = path.stat()
     return status.st_dev, status.st_ino

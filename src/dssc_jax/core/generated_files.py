@@ -56,5 +56,5 @@ def stored_sums(folder: Path) -> dict[str, str]:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 digest of a file's content, in hexadecimal."""
+    """Return the SHA-256 digest of a file's content, in hexadecimal."""
     return hashlib.sha256(files.read_bytes(path)).hexdigest()

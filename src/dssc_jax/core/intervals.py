@@ -97,7 +97,7 @@ def divide(a: Interval, b: Interval) -> Interval:
 
 
 def contains(a: Interval, value: float) -> np.ndarray:
-    """Whether a value lies in each interval, an array of the intervals' shape."""
+    """Return whether a value lies in each interval, an array of truth values of the intervals' shape."""
     return (a.low <= value) & (value <= a.high)
 
 

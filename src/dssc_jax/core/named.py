@@ -41,12 +41,12 @@ class NamedSignal(NamedTuple):
 
     @classmethod
     def of(cls, name: str, quantity: Quantity) -> "NamedSignal":
-        """The signal with this name, and with the unit and meaning of a quantity."""
+        """Return the signal with this name, and with the unit and meaning of a quantity."""
         return cls(name, quantity.unit, quantity.meaning, quantity.periodic)
 
     @property
     def quantity(self) -> Quantity:
-        """Unit and meaning of the signal; its name stands for a meaning that is not declared."""
+        """Unit and meaning of the signal as a quantity; the name stands for the meaning if none is declared."""
         return Quantity(self.unit, self.meaning or self.name, periodic=self.periodic)
 
 

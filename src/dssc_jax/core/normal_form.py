@@ -21,7 +21,13 @@ VANISHING = 1e-9
 
 
 class RealisedSystem(NamedTuple):
-    """A linear system x' = A x + b u, y = c x in plain numbers: A row by row, b and c as tuples of length n."""
+    """A linear system x' = A x + b u, y = c x in plain numbers.
+
+    Args:
+        a: A, row by row, shape (n, n) [1/s].
+        b: Input column, shape (n,).
+        c: Output row, shape (n,).
+    """
 
     a: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]
@@ -57,7 +63,7 @@ class NormalForm(NamedTuple):
 
     @property
     def obstacle(self) -> str:
-        """The reason why the plant is not of the class (5)-(8); empty if it is."""
+        """The reason why the plant is not of the class (5)-(8), in words; empty if the plant is of this class."""
         if self.relative_degree != 2:
             return f"the plant has relative degree {self.relative_degree}, not two as (5)-(8)"
         if not self.minimum_phase:

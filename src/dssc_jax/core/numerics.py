@@ -300,7 +300,7 @@ def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
 
 
 def spline_end(at: float, interval: float, knots: int) -> float:
-    """Return the time at which a cubic spline is 0 again: two intervals after its last knot.
+    """Return the time [s] at which a cubic spline is 0 again: two intervals after the last knot.
 
     Args:
         at: Time of the first knot [s].

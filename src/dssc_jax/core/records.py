@@ -126,7 +126,7 @@ def cubic_pieces(time: Values, value: Values, rule: Interpolation) -> Pieces:
 
 
 def last_time(pieces: Pieces) -> float:
-    """Return the time from which a record keeps its last value [s]."""
+    """Return the time from which a record keeps its last value [s]: the last recorded time."""
     return float(pieces.begins[-1])
 
 

@@ -43,7 +43,13 @@ class Measurement(NamedTuple):
 
 
 class ReferencePoint(NamedTuple):
-    """Desired output ``y`` = y_m [y] with its first derivative ``y_dot`` [y/s] and second ``y_ddot`` [y/s^2]."""
+    """The desired output y_m of one channel, with its derivatives.
+
+    Args:
+        y: y_m [y].
+        y_dot: y_m' [y/s].
+        y_ddot: y_m'' [y/s^2].
+    """
 
     y: Scalar
     y_dot: Scalar
@@ -109,7 +115,12 @@ class Outcome(IntEnum):
 
 
 class TrackingError(NamedTuple):
-    """Output error e = y - y_m (9) [y] and the output of relative degree one sigma = e' + l_0 e (10) [y/s]."""
+    """The tracking error of one channel.
+
+    Args:
+        e: Output error e = y - y_m (9) [y].
+        sigma: Output of relative degree one sigma = e' + l_0 e (10) [y/s].
+    """
 
     e: Scalar
     sigma: Scalar

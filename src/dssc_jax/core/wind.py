@@ -50,7 +50,10 @@ class Wind(NamedTuple):
     last_change: LastChange | None = None
 
     def at_start(self, params: Params, dt: Scalar) -> Vec3:
-        """The expected wind over the first sample, of length dt [m/s]."""
+        """Return the expected wind [m/s] over the first sample, of length dt [s].
+
+        A wind without ``mean`` has no random numbers, so any key gives its value.
+        """
         if self.mean is not None:
             return self.mean(params, dt)
         key = jax.random.key(0)

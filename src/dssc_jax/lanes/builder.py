@@ -29,7 +29,7 @@ class Builder:
         self._constants: dict[Hashable, Value] = {}
 
     def constant(self, number: Any, dtype: np.dtype) -> Value:
-        """A constant of a dtype; constants of equal bits are one value."""
+        """Return a number as a constant of a dtype; numbers of equal dtype and bits give the same value."""
         scalar = np.asarray(number).astype(dtype)[()]  # [()]: NumPy's scalar in place of an array of shape ()
         key = dtype, scalar.tobytes()  # the bits, since -0 equals 0 and NaN does not equal itself
         if key not in self._constants:
@@ -225,7 +225,7 @@ class Builder:
         return None
 
     def _depth_of(self, value: Value) -> int:
-        """The depth of the block to which an operation on a value alone is hoisted; -1 for a constant."""
+        """Return the depth of the block to which an operation on this value alone is hoisted; -1 for a constant."""
         return -1 if value.operation == "constant" else self._home([value]).depth
 
     def _home(self, operands: Sequence[Value]) -> CodeBlock:

@@ -85,9 +85,9 @@ class CompiledLanes:
         return machine.LoadedCode(code)
 
     def interleaved(self, lanes: int) -> int:
-        """Number of neighbouring lanes whose recordings are stored sample by sample, in a batch of ``lanes`` lanes.
+        """Return the number of neighbouring lanes whose recordings are stored together, sample by sample.
 
-        On a CPU these are the lanes of one vector, whatever the size of the batch.
+        On a CPU these are the lanes of one vector, so the number ``lanes`` of lanes in the batch has no effect.
         """
         return self.signature.width
 
@@ -149,7 +149,7 @@ class CompiledLanes:
 
 
 def whole_multiple(count: int, width: int) -> int:
-    """The smallest multiple of ``width`` that is at least ``count``: the lanes of a batch, in whole vectors."""
+    """Return the smallest multiple of ``width`` that is at least ``count``: the lanes of a batch in whole vectors."""
     vectors = -(-count // width)  # count / width, rounded up
     return vectors * width
 

@@ -136,7 +136,7 @@ class Recording:
 
 @dataclass(eq=False, repr=False, slots=True)
 class Slot:
-    """An array in the memory of a lane that a loop reads and writes.
+    """An array in the memory of a lane, which a loop reads and writes one element at a time.
 
     Args:
         length: Number of elements.
@@ -180,7 +180,7 @@ Node: TypeAlias = Value | CodeLoop | Branch | Record
 
 
 def inner_blocks(node: Node) -> tuple[CodeBlock, ...]:
-    """The blocks of a loop or branch; empty for other nodes."""
+    """Return the blocks within a loop or branch; an empty tuple for other nodes."""
     if isinstance(node, CodeLoop):
         return (node.body,)
     return node.sides if isinstance(node, Branch) else ()

@@ -181,7 +181,7 @@ def warn_of_cache(folder: Path, reason: str) -> None:
 
 
 def cache_directory() -> Path | None:
-    """The cache's folder; None if the user has disabled the cache, or has no home directory."""
+    """Return the cache's folder; None if the user has disabled the cache, or has no home directory."""
     if os.environ.get(CACHE_VARIABLE, "").lower() in OFF:
         return None
     try:

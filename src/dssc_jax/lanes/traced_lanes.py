@@ -21,7 +21,7 @@ VERIFY_VARIABLE = "DSSC_JAX_VERIFY"
 
 
 class Packing(NamedTuple):
-    """The number of lanes in a vector and the order of operations, for programs of some size.
+    """The choice of the number of lanes in a vector and of the order of operations, for programs of a certain size.
 
     Args:
         operations: The packing is for programs with fewer operations than this.

@@ -33,7 +33,7 @@ StatusCall = Callable[..., int]
 
 
 class Fmpy(NamedTuple):
-    """The modules of FMPy."""
+    """The modules of FMPy: the package itself, and its calls of FMI 2.0 and 3.0."""
 
     package: ModuleType
     fmi2: ModuleType
@@ -93,7 +93,7 @@ class FmiCalls(ABC):
 
     @abstractmethod
     def step(self, instance: int, t: float, h: float) -> bool:
-        """Make the step from t to t + h [s]; return whether it succeeded and the instance may go on."""
+        """Make the step from t to t + h [s]; return whether the step succeeded and the instance may continue."""
 
     @abstractmethod
     def free(self, instance: int) -> None:
@@ -192,7 +192,7 @@ class Fmi2Calls(FmiCalls):
         require_success("fmi2ExitInitializationMode", self._exit(instance))
 
     def step(self, instance: int, t: float, h: float) -> bool:
-        """Make the step from t to t + h [s]; return whether it succeeded."""
+        """Make the step from t to t + h [s]; return whether the step succeeded."""
         is_final_at_t = 1  # no earlier state will be asked for
         return self._step(instance, t, h, is_final_at_t) <= WARNING
 
@@ -257,7 +257,7 @@ class Fmi3Calls(FmiCalls):
         require_success("fmi3ExitInitializationMode", self._exit(instance))
 
     def step(self, instance: int, t: float, h: float) -> bool:
-        """Make the step from t to t + h [s]; return whether it succeeded and the instance has not asked for the end."""
+        """Make the step from t to t + h [s]; return whether the step succeeded and the instance asks for no end."""
         has_event = TRUTH(False)
         is_ended = TRUTH(False)
         is_early = TRUTH(False)

@@ -111,7 +111,7 @@ class NativeFmu:
         return variable
 
     def names_with(self, causality: str) -> list[str]:
-        """The names of the scalar real variables that have a causality."""
+        """Return the names of the scalar real variables that have a causality, such as ``input``."""
         return [name for name, variable in self.variables.items() if variable.causality == causality]
 
     def references_with(self, causality: str) -> list[int]:
@@ -239,7 +239,7 @@ def unreadable(path: Path, error: Exception) -> ConfigError:
 
 
 def scalar_variables(description: "ModelDescription") -> tuple[dict[str, FmuVariable], dict[str, str]]:
-    """The scalar real variables of an FMU by name, and the descriptions of all other variables by name."""
+    """Return the scalar real variables of an FMU by name, and descriptions of all other variables by name."""
     variables = {}
     unusable = {}
     for variable in description.modelVariables:

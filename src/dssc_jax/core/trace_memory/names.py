@@ -77,18 +77,18 @@ def sources_digest() -> str | None:
 
 
 def package_root() -> Path:
-    """Find the package's folder."""
+    """Return the folder of the package dssc_jax."""
     return Path(dssc_jax.__file__).parent
 
 
 def package_sources() -> list[Path]:
-    """List the package's source files; none if it is imported from an archive."""
+    """Return the package's source files, sorted; an empty list if the package is imported from an archive."""
     return sorted(package_root().rglob("*.py"))
 
 
 @cache
 def versions() -> tuple[str, ...]:
-    """Versions of Python and of the libraries that take part in a trace."""
+    """Return the versions of Python and of the libraries that take part in a trace."""
     return platform.python_version(), *map(version, VERSIONED)
 
 

@@ -119,7 +119,7 @@ INTEGER_HELPERS = {
 
 
 def c_type(dtype: np.dtype) -> str:
-    """C's type of a dtype."""
+    """Return C's type of a dtype, such as ``double`` or ``uint32_t``."""
     if dtype == BOOL:
         return "bool"
     if dtype.kind == "f":
@@ -128,7 +128,7 @@ def c_type(dtype: np.dtype) -> str:
 
 
 def c_literal(number: Any, dtype: np.dtype) -> str:
-    """A number as a literal in C, which compilers read back to the same bits."""
+    """Return a number as a literal in C that compilers read back to the same bits, except the bits of a NaN."""
     if dtype == BOOL:
         return "true" if number else "false"
     return integer_literal(int(number), dtype) if dtype.kind in "iu" else real_literal(number, dtype)

@@ -276,7 +276,7 @@ class CText:
 
 
 def comment(text: str) -> list[str]:
-    """The lines of a comment in C; characters beyond ASCII become ?."""
+    """Return the lines of a comment in C; characters beyond ASCII become ?, and marks of comments are removed."""
     plain = re.sub(r"\*/|/\*", "", text).encode("ascii", "replace").decode()
     lines = textwrap.wrap(plain, LONGEST_EXPRESSION, break_on_hyphens=False) or [""]
     lines = [f" * {line}" for line in lines]

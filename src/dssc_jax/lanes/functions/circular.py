@@ -239,17 +239,17 @@ def tangent(reduced: ReducedAngle) -> jax.Array:
 
 
 def sin(x: jax.Array) -> jax.Array:
-    """The sine of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
+    """Return the sine of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
     return sine(reduce_near(x))
 
 
 def cos(x: jax.Array) -> jax.Array:
-    """The cosine of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
+    """Return the cosine of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
     return cosine(reduce_near(x))
 
 
 def tan(x: jax.Array) -> jax.Array:
-    """The tangent of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
+    """Return the tangent of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
     return tangent(reduce_near(x))
 
 

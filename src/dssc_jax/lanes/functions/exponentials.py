@@ -25,12 +25,12 @@ BINARY_EXPONENTS = {64: (-1076.0, 1025.0), 32: (-151.0, 129.0)}
 
 
 def width(x: jax.Array) -> int:
-    """Number of bits of a floating-point number, 32 or 64."""
+    """Return the number of bits of a floating-point number, 32 or 64."""
     return 8 * jnp.asarray(x).dtype.itemsize
 
 
 def bits_of(x: jax.Array) -> jax.Array:
-    """The bits of a floating-point number as an integer of the same width."""
+    """Return the bits of a floating-point number as a signed integer of the same width."""
     return jax.lax.bitcast_convert_type(x, jnp.int64 if width(x) == 64 else jnp.int32)
 
 
@@ -40,7 +40,7 @@ def as_integer(x: jax.Array) -> jax.Array:
 
 
 def is_negative(x: jax.Array) -> jax.Array:
-    """Whether the sign bit of a number is set, also that of -0."""
+    """Whether the sign bit of a number is set; true for -0 as well."""
     return bits_of(x) < 0
 
 

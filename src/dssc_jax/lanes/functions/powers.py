@@ -37,7 +37,12 @@ SERIES = tuple(1.0 / n for n in range(27, 4, -2))
 
 
 class TwoPartNumber(NamedTuple):
-    """A number as the sum of a float64 number and a second one that is at most the first one's rounding error."""
+    """A number with about twice the digits of float64, as the sum of two float64 numbers.
+
+    Args:
+        high: The number, rounded to float64.
+        low: The remainder, at most as large as the rounding error of ``high``.
+    """
 
     high: jax.Array
     low: jax.Array

@@ -43,7 +43,7 @@ ARGUMENTS: dict[str, tuple[Any, ...]] = {
 
 
 class GpuError(Exception):
-    """There is no GPU that can run lanes, or its driver has refused a call."""
+    """The error if there is no GPU that can run lanes, or if the GPU's driver has refused a call."""
 
 
 class Driver:
@@ -191,7 +191,7 @@ class Driver:
 
 @cache
 def driver() -> Driver:
-    """The driver of this machine's first GPU, loaded once.
+    """Return the driver of this machine's first GPU, which is loaded at the first call.
 
     Raises:
         GpuError: The machine has no driver, or no GPU that can run lanes.

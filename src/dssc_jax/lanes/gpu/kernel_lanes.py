@@ -93,7 +93,7 @@ class LoadedKernel:
             raise
 
         def wait() -> float:
-            """Wait for the lanes and copy their results; return the time at which the lanes ended."""
+            """Wait for the lanes and copy the results to the host; return the time at which the lanes ended [s]."""
             self._gpu.use()  # the caller's thread may differ from the one that started the batch
             try:
                 self._gpu.wait(batch.stream)

@@ -22,7 +22,7 @@ def target_machine() -> Any:
 
 
 def ptx(text: str) -> bytes:
-    """Compile the text of a module to PTX."""
+    """Compile the text of a module of LLVM to PTX, NVIDIA's portable assembly language."""
     module = llvm.parse_assembly(text)
     machine = target_machine()
     module.triple = TRIPLE

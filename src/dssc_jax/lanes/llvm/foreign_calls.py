@@ -21,7 +21,7 @@ def column_bytes(place: MemoryPlace, width: int) -> int:
 
 
 def buffer_bytes(places: tuple[MemoryPlace, ...], width: int) -> int:
-    """Bytes of a buffer for the vectors of some numbers; ``width`` is the number of lanes of a vector."""
+    """Return the bytes of a buffer for the vectors of some numbers; ``width`` is the number of lanes in a vector."""
     return sum(column_bytes(place, width) for place in places)
 
 

@@ -14,7 +14,7 @@ FAST, STRICT = "contract nsz ", ""
 
 
 def scalar_type(dtype: np.dtype) -> str:
-    """LLVM's type of a dtype."""
+    """Return LLVM's type of a scalar of a dtype, such as ``double`` or ``i32``."""
     if dtype.kind == "f":
         return {4: "float", 8: "double"}[dtype.itemsize]
     return "i1" if dtype == BOOL else f"i{8 * dtype.itemsize}"
@@ -240,10 +240,10 @@ class FunctionText:
     # Basic blocks
 
     def begin(self, label: str) -> None:
-        """Begin a basic block."""
+        """Begin a basic block with this label."""
         self.lines.append(f"{label}:")
         self.label = label
 
     def current(self) -> str:
-        """The label of the basic block that is being written."""
+        """Return the label of the basic block that is being written."""
         return self.label

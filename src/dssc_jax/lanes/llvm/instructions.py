@@ -61,7 +61,11 @@ class Instructions(FunctionText):
         return self.call(f"llvm.vector.reduce.or.v{self.width}i1", "i1", (kind, mask))
 
     def value(self, value: Value) -> str:
-        """Write the instructions of one value; return its register."""
+        """Write the instructions of one value; return the value's register.
+
+        Args:
+            value: The value, whose operands are written already.
+        """
         operation = value.operation
         dtype = value.dtype
         wide = self.is_vector(value)
@@ -227,7 +231,7 @@ class Instructions(FunctionText):
         return self.emit(f"freeze {kind} {name}")
 
     def zero(self, dtype: np.dtype, wide: bool) -> str:
-        """The literal of a scalar 0, or of a vector of zeros if ``wide``."""
+        """Return the literal of a scalar 0, or of a vector of zeros if ``wide``."""
         return "zeroinitializer" if wide else literal(0, dtype)
 
     def compare(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:

@@ -37,7 +37,7 @@ def usable_cores() -> int:
 
 
 def available_cores() -> int:
-    """Number of cores on which the system lets this process run."""
+    """Return the number of cores on which the system lets this process run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -160,7 +160,7 @@ class LoadedCode:
         self._run_lanes = signature(self.address(ENTRY_POINT))
 
     def address(self, symbol: str) -> int:
-        """The address of a function of the code."""
+        """Return the address of a function of the code, given the function's symbol."""
         return int(self._engine.get_function_address(symbol))
 
     def start(
@@ -196,7 +196,10 @@ class LoadedCode:
         futures: list[Future[float]] = [pool.submit(run_parts) for _ in range(busy_threads)]
 
         def wait() -> float:
-            """Wait for all threads; return the time at which the last one ended."""
+            """Wait for all threads; return the time at which the last one ended [s].
+
+            An exception while waiting, such as Ctrl-C, stops the threads after the parts that they are running.
+            """
             try:
                 return max(future.result() for future in futures)
             except BaseException:  # such as Ctrl-C: the threads finish their parts and end

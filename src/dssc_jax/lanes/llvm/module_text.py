@@ -153,7 +153,7 @@ class Emitter(Instructions):
             self.name(loop.results[i], registers[i])
 
     def needed_states(self, loop: CodeLoop) -> list[int]:
-        """Positions of the states of a loop on which a result of the program depends, in the loop or after it."""
+        """Return the positions of a loop's states on which a result of the program depends, in or after the loop."""
         positions = []
         for i, (state, result) in enumerate(zip(loop.states, loop.results, strict=True)):
             if id(state) in self.alive or id(result) in self.alive:

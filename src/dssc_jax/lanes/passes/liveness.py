@@ -17,14 +17,14 @@ from dssc_jax.lanes.program import (
 
 
 def read_inputs(program: Program) -> set[int]:
-    """Positions of the inputs on which a result depends."""
+    """Return the positions of the inputs on which a result of the program depends."""
     alive = reachable(program)
     nodes = (node for block in all_blocks(program.body) for node in block.nodes if id(node) in alive)
     return {int(node.detail) for node in nodes if isinstance(node, Value) and node.operation == "input"}
 
 
 def reachable(program: Program) -> set[int]:
-    """Ids of the nodes on which a result depends."""
+    """Return the ids of the nodes on which a result of the program depends."""
     visited: set[int] = set()
     records: dict[int, list[Node]] = {}
     collect_records(program.body, (), records)

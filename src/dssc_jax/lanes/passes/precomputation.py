@@ -119,7 +119,7 @@ class Precomputation(Instructions):
         return self.lanes.current()
 
     def is_vector(self, value: Value) -> bool:
-        """Whether a value is a vector along time, as every value but a constant is."""
+        """Whether a value is a vector along time: true for every value but a constant."""
         return value.operation != "constant"
 
     def read(self, value: Value, vector: bool) -> str:

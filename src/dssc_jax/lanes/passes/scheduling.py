@@ -107,5 +107,5 @@ def operands_within(node: Node) -> Iterator[Value]:
 
 
 def cycles(node: Node) -> int:
-    """Latency of a node in cycles; 0 for loops and branches, whose latency is not modelled."""
+    """Return the latency of a node in cycles; 0 for loops, branches and records, whose latency is not modelled."""
     return CYCLES.get(node.operation, OTHER_CYCLES) if isinstance(node, Value) else 0

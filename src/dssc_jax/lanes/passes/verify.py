@@ -107,7 +107,11 @@ def verify_value(value: Value, defined: set[int]) -> None:
 
 
 def verify_access(value: Value) -> None:
-    """Check the dtypes and the index of an operation on a slot: ``memory``, ``read`` or ``write``."""
+    """Check the dtypes and the index of an operation on a slot: ``memory``, ``read`` or ``write``.
+
+    Raises:
+        InvalidProgram: A rule is broken.
+    """
     slot = value.detail
     require(isinstance(slot, Slot), value, "must have a slot")
     result_type = slot.dtype if value.operation == Operation.READ else TOKEN

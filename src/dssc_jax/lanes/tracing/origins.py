@@ -55,8 +55,8 @@ class Source(NamedTuple):
     """The syntax tree of a file.
 
     Args:
-        nodes: The expression at each span.
-        parents: The parent of each node.
+        nodes: The expression at each span: (first line, last line, first column, last column).
+        parents: The parent of each node of the tree.
     """
 
     nodes: dict[tuple[Any, ...], ast.expr]
@@ -169,7 +169,7 @@ def span_at(code: CodeType, byte_offset: int) -> tuple[int | None, ...]:
 
 @cache
 def read_source(file: str) -> Source:
-    """Parse a file; its syntax tree is empty if the file cannot be read."""
+    """Parse a file; return an empty syntax tree if the file cannot be read or parsed."""
     try:
         tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     except (OSError, SyntaxError, ValueError):

@@ -122,9 +122,10 @@ def clamp(build: Builder, operands: Sequence[Value], params: Parameters, dtype: 
 
 
 def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """``lax.select_n``: one of several cases, of which the first operand is the index, or a truth value for two cases.
+    """``lax.select_n``: one of several cases, which the first operand selects.
 
-    An index below 0 selects the first case, and an index beyond the end the last.
+    That operand is the index of the case or, for two cases, a truth value that selects the second case. An index below
+    0 selects the first case, and an index beyond the end the last.
     """
     index, *cases = operands
     if index.dtype == BOOL:

@@ -131,7 +131,7 @@ def with_shape(elements: Sequence[Any], shape: tuple[int, ...]) -> Any:
 
 
 def bits(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """``jax.random.bits``: an array of random words of 8, 16, 32 or 64 bits."""
+    """``jax.random.bits``: an array of random words of 8, 16, 32 or 64 bits, from the encrypted counters of a key."""
     key = operands[0]
     shape = params["shape"]
     bit_width = params["bit_width"]
@@ -147,7 +147,7 @@ def bits(build: Builder, operands: Sequence[Any], params: Parameters, equation: 
 
 
 def split_key(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """``jax.random.split``: an array of new keys from one key."""
+    """``jax.random.split``: an array of new keys, which are the encrypted counters of one key."""
     shape = params["shape"]
     keys = [Key(high, low) for high, low in counter_blocks(build, operands[0], shape)]
     return with_shape(keys, shape)
@@ -159,7 +159,7 @@ def words_of_key(build: Builder, operands: Sequence[Any], params: Parameters, eq
 
 
 def key_of_words(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:
-    """``jax.random.wrap_key_data``: a key from an array of two words."""
+    """``jax.random.wrap_key_data``: a key from an array of two words; an array of several keys is refused."""
     words = as_tensor(operands[0], build)
     if words.shape != (2,):
         raise Unsupported(f"an array of keys of shape {words.shape[:-1]}")

@@ -94,7 +94,7 @@ class VaryingResults:
             state = next_state
 
     def of_scan(self, body: Jaxpr, operands: Sequence[int], first_state: int, first_row: int) -> list[int]:
-        """The mask of each state of a scan.
+        """Return the mask of each state of a scan.
 
         Args:
             body: The scan's body.
