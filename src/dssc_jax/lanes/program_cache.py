@@ -112,7 +112,7 @@ def delete_damaged(file: Path) -> None:
 
 
 def read_file(path: Path) -> bytes:
-    """The content of a regular file.
+    """Return the content of a regular file.
 
     Raises:
         OSError: The file cannot be read, or is not regular; a named pipe, for example, could block the process.

@@ -29,7 +29,7 @@ class KernelEmitter(Emitter):
 
     Args:
         program: The program.
-        strict: Whether the arithmetic is strict.
+        strict: Whether products and sums are never contracted.
     """
 
     def __init__(self, program: Program, strict: bool) -> None:
@@ -37,7 +37,7 @@ class KernelEmitter(Emitter):
         super().__init__(program, 1, strict, WINDOW, MANY_REGISTERS)
 
     def head(self) -> str:
-        """The first line of the kernel, whose argument ``count`` is the number of lanes of the batch.
+        """Return the first line of the kernel, whose argument ``count`` is the number of lanes of the batch.
 
         In single precision a thread has at most :data:`REGISTERS` registers; in double precision there is no limit.
         """

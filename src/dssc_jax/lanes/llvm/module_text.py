@@ -172,7 +172,7 @@ class Emitter(Instructions):
         Args:
             loop: The loop.
             plan: The values to precompute.
-            needed: As :meth:`needed_states` returns them.
+            needed: Positions of the needed states, from :meth:`needed_states`.
 
         Returns:
             The register of the condition for another turn after the inner loop.

@@ -111,7 +111,7 @@ class Precomputation(Instructions):
         return self.lanes.new_name(prefix)
 
     def begin(self, label: str) -> None:
-        """Begin a basic block in the lanes' instructions, which share their lines with these."""
+        """Begin a basic block with this label; the lines are those of the lanes' instructions."""
         self.lanes.begin(label)
 
     def current(self) -> str:

@@ -70,7 +70,7 @@ def remaining_cycles(nodes: Sequence[Node], users: Sequence[Sequence[int]]) -> l
 
     Args:
         nodes: Nodes, each after the nodes whose values it reads.
-        users: As :func:`users_of` returns them.
+        users: For each node, the positions of the nodes that read its values, from :func:`users_of`.
     """
     remaining = [0] * len(nodes)
     for i in reversed(range(len(nodes))):

@@ -158,7 +158,7 @@ def model_places(equation: JaxprEqn) -> Iterator[Place]:
 
 
 def span_at(code: CodeType, byte_offset: int) -> tuple[int | None, ...]:
-    """Return first line, last line, first column and last column of the instruction at an offset in a byte code.
+    """Return first line, last line, first column and last column of the instruction at an offset in Python's byte code.
 
     Each number is None if Python does not know it.
     """
