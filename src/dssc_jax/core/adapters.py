@@ -29,13 +29,13 @@ from dssc_jax.core.wind import Wind, WindBounds
 def linear_derivative(
     linear: Callable[[Params], LinearDynamics],
 ) -> Callable[[Params, State, PlantInput[Scalar], Scalar], State]:
-    """Return the ``derivative`` of a linear plant with one channel, from its linear dynamics.
+    """Return the ``derivative`` of a linear plant with one channel, from the plant's linear dynamics.
 
-    It is A x + b u_p + e d + the sum of each named input times its column.
+    The derivative is A x + b u_p + e d plus the sum of each named disturbance input times its column.
     """
 
     def derivative(params: Params, state: State, drive: PlantInput[Scalar], t: Scalar) -> State:
-        """The derivative of the state; a linear plant does not change with time."""
+        """Return the derivative of the state; the time has no effect, since a linear plant does not change with it."""
         del t
         dynamics = linear(params)
         (command,) = dynamics.command
@@ -53,15 +53,15 @@ def linear_derivative(
 
 
 def quiet_inputs(plant: Plant, params: Params) -> Signals:
-    """A zero for each disturbance input that the plant names: ``PlantInput.inputs`` where nothing acts on them."""
+    """Return ``PlantInput.inputs`` for a plant on which no disturbance acts: a zero for each input that it names."""
     return (0.0,) * len(plant.inputs(params)) if plant.inputs else ()
 
 
 def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Signals]:
-    """Adapt a plant with one channel to the interface of several: its signals become tuples of one value."""
+    """Adapt a plant with one channel to the interface of several channels: each signal becomes a tuple of one value."""
 
     def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
-        """The input with plain values in place of tuples, as the plant itself takes it."""
+        """Return the input in the form that the plant itself takes: plain values in place of tuples of one value."""
         (command,) = drive.command
         (disturbance,) = drive.disturbance
         return PlantInput(command, disturbance, drive.wind, drive.inputs, drive.condition)
@@ -86,7 +86,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
 
 
 def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[ReferencePoints]:
-    """Adapt a reference with one channel to the interface of several: its point becomes a tuple of one point."""
+    """Adapt a reference with one channel to the interface of several channels: a point becomes a tuple of one point."""
     return Reference(
         params=reference.params,
         at=lambda params, t: (reference.at(params, t),),
@@ -96,10 +96,10 @@ def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[Referen
 
 
 def with_channel_count(reference: Reference[ReferencePoints], count: int) -> Reference[ReferencePoints]:
-    """A reference of several channels, cut to ``count`` channels or extended by channels that stay at zero."""
+    """Return a reference of several channels with ``count`` channels: cut, or extended by channels that stay at 0."""
 
     def at(params: Params, t: Scalar) -> ReferencePoints:
-        """The desired points of ``count`` channels at t [s]."""
+        """Return the desired points of ``count`` channels at t [s]."""
         points = tuple(reference.at(params, t))[:count]
         return points + (ReferencePoint(0.0, 0.0, 0.0),) * (count - len(points))
 
@@ -111,7 +111,7 @@ class ReplacedParams(NamedTuple):
 
     Args:
         joint: Parameters of the reference of all channels.
-        replacements: Parameters of the reference of each channel that has its own.
+        replacements: Parameters of each channel's own reference, in the order of the replaced channels.
     """
 
     joint: Params
@@ -121,7 +121,7 @@ class ReplacedParams(NamedTuple):
 def replace_channels(
     joint: Reference[ReferencePoints], replacements: dict[int, Reference[ReferencePoint]]
 ) -> Reference:
-    """A reference of several channels, with the references of some channels replaced.
+    """Return a reference of several channels in which some channels have references of their own.
 
     Args:
         joint: The reference of all channels.
@@ -129,7 +129,7 @@ def replace_channels(
     """
 
     def at(params: ReplacedParams, t: Scalar) -> ReferencePoints:
-        """The desired points of all channels at t [s]."""
+        """Return the desired points of all channels at t [s]."""
         points = list(joint.at(params.joint, t))
         for (index, reference), channel_params in zip(replacements.items(), params.replacements, strict=True):
             points[index] = reference.at(channel_params, t)
@@ -141,7 +141,14 @@ def replace_channels(
 
 
 def latest_change(parts: Sequence[Reference | Wind | Disturbance]) -> LastChange | None:
-    """Return the last change of several parts, whose parameters are a tuple; None if one of them declares none."""
+    """Return the ``last_change`` of several parts together: the latest of their last changes.
+
+    Args:
+        parts: The parts. The returned function takes a tuple of their parameters.
+
+    Returns:
+        The function; None if a part declares no last change.
+    """
     changes = [part.last_change for part in parts if part.last_change is not None]
     if len(changes) < len(parts):
         return None
@@ -149,13 +156,13 @@ def latest_change(parts: Sequence[Reference | Wind | Disturbance]) -> LastChange
 
 
 def separate_init(parts: Sequence[Wind | Disturbance]) -> Callable[[tuple[Params, ...], jax.Array], tuple[State, ...]]:
-    """Return the ``init`` of several parts together: it gives a tuple of their states.
+    """Return the ``init`` of several parts together, which returns a tuple of the parts' states.
 
-    Each part gets random numbers of its own, by its index.
+    Each part draws its own random numbers, from the key folded with the part's index.
     """
 
     def init(params: tuple[Params, ...], key: jax.Array) -> tuple[State, ...]:
-        """The state of each part before the first sample."""
+        """Return the state of each part before the first sample."""
         states = []
         for index, (part, part_params) in enumerate(zip(parts, params, strict=True)):
             states.append(part.init(part_params, jax.random.fold_in(key, index)))
@@ -167,15 +174,15 @@ def separate_init(parts: Sequence[Wind | Disturbance]) -> Callable[[tuple[Params
 def separate_step(
     parts: Sequence[Wind | Disturbance],
 ) -> Callable[[tuple[Params, ...], tuple[State, ...], jax.Array, Scalar, Scalar], tuple[State, ...]]:
-    """Return the ``step`` of several parts together: it gives a tuple of their states.
+    """Return the ``step`` of several parts together, which returns a tuple of the parts' states.
 
-    Each part gets random numbers of its own, by its index.
+    Each part draws its own random numbers, from the key folded with the part's index.
     """
 
     def step(
         params: tuple[Params, ...], state: tuple[State, ...], key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[State, ...]:
-        """The state of each part over the sample [t, t + dt)."""
+        """Return the state of each part for the sample [t, t + dt)."""
         states = []
         for index, (part, part_params, part_state) in enumerate(zip(parts, params, state, strict=True)):
             states.append(part.step(part_params, part_state, jax.random.fold_in(key, index), t, dt))
@@ -185,17 +192,17 @@ def separate_step(
 
 
 def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
-    """The sum of several winds; its parameters and its state are tuples with an element for each part."""
+    """Return the sum of several winds as one wind, whose parameters and state are tuples with an element a part."""
 
     def value(params: tuple[Params, ...], state: tuple[State, ...], t: Scalar) -> Vec3:
-        """The sum of the parts' velocities at t [m/s]."""
+        """Return the sum of the parts' velocities at t [m/s]."""
         total = Vec3(0.0, 0.0, 0.0)
         for wind, wind_params, wind_state in zip(parts, params, state, strict=True):
             total = total + wind.value(wind_params, wind_state, t)
         return total
 
     def bounds(params: tuple[Params, ...]) -> WindBounds:
-        """The sums of the parts' bounds; the sum of winds may jump if a part may jump."""
+        """Return the sums of the parts' bounds; there is no bound of the rate if a part may jump."""
         parts_with_params = zip(parts, params, strict=True)
         limits = [wind.bounds(wind_params) for wind, wind_params in parts_with_params if wind.bounds is not None]
         rates = [limit.rate for limit in limits if limit.rate is not None]
@@ -205,7 +212,7 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
         return WindBounds(speed, vertical, rate=None if may_jump else sum(rates))
 
     def mean(params: tuple[Params, ...], dt: Scalar) -> Vec3:
-        """The sum of the parts' expected velocities over the first sample [m/s]."""
+        """Return the sum of the parts' expected velocities over the first sample, of length dt [m/s]."""
         total = Vec3(0.0, 0.0, 0.0)
         for wind, wind_params in zip(parts, params, strict=True):
             total = total + wind.at_start(wind_params, dt)
@@ -226,10 +233,10 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
 
 
 def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
-    """The sum of several disturbances at one place.
+    """Return the sum of several disturbances at one place as one disturbance.
 
-    Its parameters and its state are tuples with an element for each part. A single disturbance is returned as it is,
-    with its own parameters.
+    The parameters and the state of the sum are tuples with an element for each part. A single disturbance is returned
+    unchanged, with its own parameters.
     """
     if len(parts) == 1:
         return parts[0]
@@ -237,7 +244,7 @@ def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
     def value(
         params: tuple[Params, ...], state: tuple[State, ...], measurement: Measurement, sigma: Scalar, t: Scalar
     ) -> Scalar:
-        """The sum of the parts' values."""
+        """Return the sum of the parts' values, in the unit of the command [u]."""
         total: Scalar = 0.0
         for part, part_params, part_state in zip(parts, params, state, strict=True):
             total = total + part.value(part_params, part_state, measurement, sigma, t)
@@ -267,13 +274,13 @@ def static_unmodelled(
     continuous: bool = False,
     prepare: Callable[[Params], Params] = unchanged_params,
 ) -> Unmodelled:
-    """Unmodelled dynamics without a state, such as a saturation.
+    """Return unmodelled dynamics without a state, such as a saturation.
 
     Args:
         params: NamedTuple type of the parameters.
-        output: ``(params, command) -> command`` received by the plant.
-        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: not declared.
-        continuous: Whether the output is the same for a model in continuous time.
+        output: ``(params, command) -> command`` that the plant receives.
+        smooth: Where ``output`` has a derivative (:mod:`dssc_jax.core.smoothness`); None: not declared.
+        continuous: Whether a model in continuous time has the same output.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
     """
     return Unmodelled(
@@ -292,7 +299,7 @@ def unit_gain(params: type) -> Substitution:
     """Return the :data:`Substitution` of a static element by a gain of 1, for linearisations.
 
     Args:
-        params: NamedTuple type of the element's parameters, which the gain keeps.
+        params: NamedTuple type of the element's parameters, which stay the same though the gain ignores them.
     """
     model = static_unmodelled(params, lambda params, command: command, smooth=SMOOTH, continuous=True)
     return lambda params: (model, params)
@@ -305,25 +312,25 @@ def linear_unmodelled(
     prepare: Callable[[Params], Params] = unchanged_params,
     time_constant: str = "",
 ) -> Unmodelled:
-    """Unmodelled dynamics from a linear system, which advances by its exact solution over a step.
+    """Return unmodelled dynamics that are a linear system, which advances by its exact solution over a step.
 
     Args:
         params: NamedTuple type of the parameters.
         init: ``(params) -> state``, at rest; its leaves are the states of the system.
         linear: ``(params) -> LinearSystem`` from the command to the output.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
-        time_constant: Name of the parameter that scales all their times, such as mu of a lag; empty: there is none.
+        time_constant: Name of the parameter that scales all times of the dynamics, such as mu of a lag; empty: none.
     """
 
     def step(values: Params, state: State, command: Scalar, dt: Scalar) -> State:
-        """The state after dt with the command held."""
+        """Return the state after the time dt [s] with the command held."""
         system = linear(values)
         x, structure = jax.tree.flatten(state)
         held_system = hold(system.a, (Forcing(system.b, terms=1),), dt)
         return structure.unflatten(held_system.full.apply(x, ((command,),)))
 
     def output(values: Params, state: State, command: Scalar) -> Scalar:
-        """The output y = c x + d u that reaches the plant."""
+        """Return the output y = c x + d u, the command that reaches the plant."""
         system = linear(values)
         return dot((*system.c, system.d), (*jax.tree.leaves(state), command))
 

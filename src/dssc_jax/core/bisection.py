@@ -11,17 +11,17 @@ def bisect(
     outside: float | np.ndarray,
     halvings: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Halve intervals, all at once, so that each encloses a point where its condition ceases to hold.
+    """Halve intervals, all at once, so that each one encloses a point at which its condition ceases to hold.
 
     Args:
         holds: Tells whether the condition holds at the middle of each interval; argument and result have the shape of
             ``inside``.
         inside: The end of each interval at which the condition holds; a number, or shape (n,).
-        outside: The other end of each interval, of the same shape; it may lie above or below ``inside``.
+        outside: The other end of each interval, at which the condition fails; same shape, above or below ``inside``.
         halvings: Number of halvings.
 
     Returns:
-        The ends of the halved intervals in the same order.
+        The ends of the halved intervals: first those at which the condition holds, then the others.
 
     Example:
         >>> inside, outside = bisect(lambda x: x**2 < 2.0, 1.0, 2.0, halvings=20)

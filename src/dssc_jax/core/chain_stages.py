@@ -1,7 +1,8 @@
 """The steps of a chain's actuators between two samples: each element, or group of linear elements, is a stage.
 
-A signal is known at the start of a step, at its two Gauss nodes and at its end, and by the straight line with its mean
-and first moment. Linear elements advance by their exact solution for that line, all others by steps from node to node.
+A signal over a step is described by its values at the start, the two Gauss nodes and the end of the step, and by the
+straight line that has the mean and the first moment of the signal. Linear elements advance by their exact solution for
+that line, all other elements by steps from node to node.
 """
 
 import math
@@ -26,7 +27,7 @@ class Course(NamedTuple):
 
     Args:
         nodes: Values of the signal at :data:`NODES`.
-        line: The straight line with the mean and the first moment of the signal.
+        line: The straight line that has the mean and the first moment of the signal over the step.
     """
 
     nodes: tuple[Scalar, ...]
@@ -42,11 +43,11 @@ Stage: TypeAlias = Callable[[States, Course], tuple[dict[int, State], Course]]
 
 
 def in_series(models: Sequence[Unmodelled], indices: Sequence[int], params: Values) -> LinearSystem:
-    """Linear elements in series as one system, whose state is the sequence of their states.
+    """Return linear elements in series as one system, whose state is the sequence of the elements' states.
 
     Args:
         models: The models of the chain.
-        indices: The linear elements, at least one.
+        indices: Indices of the linear elements, at least one.
         params: Parameters of each element of the chain.
     """
     systems = []
@@ -61,11 +62,11 @@ def in_series(models: Sequence[Unmodelled], indices: Sequence[int], params: Valu
 
 
 def stages_of(models: Sequence[Unmodelled], indices: Sequence[int], params: Values, dt: Scalar) -> list[Stage]:
-    """The stages of a step in order: consecutive linear elements are one stage, every other element is a stage.
+    """Return the stages of a step in order; consecutive linear elements are one stage, any other element is its own.
 
     Args:
         models: The models of the chain.
-        indices: The elements that move between the samples.
+        indices: Indices of the elements that move between the samples.
         params: Parameters of each element of the chain.
         dt: Length of the step [s].
     """
@@ -82,11 +83,11 @@ def stages_of(models: Sequence[Unmodelled], indices: Sequence[int], params: Valu
 def linear_stage(
     models: Sequence[Unmodelled], indices: Sequence[int], params: Values, dt: Scalar, constant: bool
 ) -> Stage:
-    """The stage of linear elements, by their exact solution at the nodes.
+    """Return the stage of linear elements, which computes their exact solution at the nodes.
 
     Args:
         models: The models of the chain.
-        indices: The linear elements.
+        indices: Indices of the linear elements.
         params: Parameters of each element of the chain.
         dt: Length of the step [s].
         constant: Whether the input is constant over the step.
@@ -96,7 +97,7 @@ def linear_stage(
     transitions = [hold(system.a, (forcing,), share * dt).full for share in NODES[1:]]
 
     def stage(states: States, source: Course) -> tuple[dict[int, State], Course]:
-        """The elements' states after the step, and their output, for the straight line of the input."""
+        """Return the elements' states after the step, and the last one's output, for the straight line of the input."""
         leaves, structure = jax.tree.flatten([states[index] for index in indices])
         line = source.line
         solutions = [tuple(leaves)]
@@ -112,7 +113,7 @@ def linear_stage(
 
 
 def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, constant: bool) -> Stage:
-    """The stage of an element that is not linear, by steps from node to node.
+    """Return the stage of an element that is not linear, which advances by steps from node to node.
 
     Args:
         model: The element.
@@ -124,10 +125,10 @@ def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, con
     follow = model.follow or follow_mean(model)
 
     def stage(states: States, source: Course) -> tuple[dict[int, State], Course]:
-        """The element's state after the step, and its output, for an input that is straight between the nodes.
+        """Return the element's state after the step, and its output, for an input that is straight between the nodes.
 
-        Where the input is constant, each node is reached from the step's beginning, and the output may have exact
-        moments.
+        For a constant input, each node is reached by one step from the start, and the output gets the element's own
+        ``moments`` if it declares them.
         """
         begin = states[index]
         start = source.nodes[0]
@@ -149,11 +150,14 @@ def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, con
 
 
 def follow_mean(model: Unmodelled) -> Callable[[Params, State, Scalar, Scalar, Scalar], State]:
-    """Return the ``follow`` of a model that declares none: its step with the mean of the command, of order 2."""
+    """Return a ``follow`` for a model that declares none: its ``step`` with the mean of the command, of order 2."""
     return lambda params, state, start, end, dt: model.step(params, state, 0.5 * (start + end), dt)
 
 
 def line_through(nodes: Sequence[Scalar]) -> Moments:
-    """Mean and rise of a signal over a step from its values at :data:`NODES`, exact for polynomials of degree 2."""
+    """Return mean and rise of a signal over a step from its values at :data:`NODES`.
+
+    Only the two Gauss nodes count. The result is exact for polynomials of degree 2.
+    """
     _, first, second, _ = nodes
     return Moments(0.5 * (first + second), (0.5 / HALF_DISTANCE) * (second - first))

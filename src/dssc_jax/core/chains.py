@@ -1,13 +1,15 @@
-"""Several actuators in series as one, whose properties follow from those of its elements.
+"""Several actuators in series as one actuator, whose properties follow from those of its elements.
 
-The elements act on the command in their order. Those before the first element that moves between the samples act on the
-sampled command, so their output is constant over a sample. Delays commute with everything that does not depend on time,
-so they act there, too, wherever they stand. The linear elements at the end are one linear system, which the loop solves
-exactly together with the plant. The elements between these two groups are integrated between the Gauss nodes of a step:
-linear ones by their exact solution for the straight line with the mean and the first moment of their input, all others
-as if their input were straight between the nodes. Behind a static element the error is of order 4 in the step where
-signals are smooth. It is of order 2 where a signal passes a corner such as a limit, and behind an element with a state.
-It is of order 1 at jumps.
+The elements act on the command in their order, in three groups. The elements before the first one that moves between
+the samples act on the sampled command, so their output is constant over a sample. Delays belong to this first group
+wherever they stand, because they commute with everything that does not depend on time. The linear elements at the end
+are one linear system, which the loop solves exactly together with the plant.
+
+The elements between these two groups are integrated between the Gauss nodes of a step: linear ones by their exact
+solution for the straight line with the mean and the first moment of their input, all others as if their input were
+straight between the nodes. Behind a static element, the error is of order 4 in the step where signals are smooth. The
+error is of order 2 where a signal passes a corner such as a limit, and behind an element with a state. The error is of
+order 1 at jumps.
 """
 
 from collections.abc import Sequence
@@ -41,8 +43,8 @@ class Element(NamedTuple):
     """One actuator of a chain.
 
     Args:
-        kind: Its kind in the registry, for messages.
-        model: Its model.
+        kind: Kind of the actuator in the registry, for messages.
+        model: Model of the actuator.
     """
 
     kind: str
@@ -73,7 +75,7 @@ def arrange(elements: Sequence[Element]) -> Arrangement:
 
     Raises:
         ConfigError: An element that acts on the sampled command stands behind an element that moves between the
-            samples, or an element does both.
+            samples, or one element acts both at the samples and between them.
     """
     sampled = []
     moving = []
@@ -99,13 +101,13 @@ def arrange(elements: Sequence[Element]) -> Arrangement:
 
 @dataclass(frozen=True)
 class Chain:
-    """The functions of several actuators in series, of which :func:`chain` makes one model.
+    """The functions of several actuators in series, from which :func:`chain` makes one model.
 
     Parameters and states are tuples with an element for each actuator, in the order of the study.
 
     Args:
         elements: The actuators.
-        arrangement: Their groups, in the order in which they act.
+        arrangement: Groups of the actuators, in the order in which the groups act.
     """
 
     elements: tuple[Element, ...]
@@ -122,11 +124,14 @@ class Chain:
         return bool(self.arrangement.integrated)
 
     def init(self, params: Values) -> States:
-        """The states of all actuators at rest."""
+        """Return the states of all actuators at rest."""
         return tuple(model.init(p) for model, p in zip(self.models, params, strict=True))
 
     def sample(self, params: Values, states: States, command: Scalar, key: jax.Array, dt: Scalar) -> States:
-        """The states once the actuators that act at the samples have received the command in turn."""
+        """Return the states after a sample, at which each actuator of the first group receives its command in turn.
+
+        Each actuator draws its own random numbers, from the key folded with the actuator's index.
+        """
         models = self.models
         next_states = list(states)
         value = command
@@ -137,11 +142,11 @@ class Chain:
         return tuple(next_states)
 
     def output(self, params: Values, states: States, command: Scalar) -> Scalar:
-        """The command behind all actuators, in their present states."""
+        """Return the command that leaves the last actuator, with all actuators in their present states."""
         return self.output_behind(self.arrangement.head + self.arrangement.linear, params, states, command)
 
     def output_behind(self, indices: Sequence[int], params: Values, states: States, command: Scalar) -> Scalar:
-        """The command behind some actuators, which act in the order of their ``indices``."""
+        """Return the command that leaves the last of some actuators, which act in the order of ``indices``."""
         models = self.models
         value = command
         for index in indices:
@@ -149,7 +154,10 @@ class Chain:
         return value
 
     def linear(self, params: Values) -> LinearSystem:
-        """The linear actuators at the end as one system, whose states are the states of all actuators."""
+        """Return the linear actuators at the end as one system.
+
+        The state of this system lists the states of all actuators; those of the others are constant and without effect.
+        """
         sizes = [len(jax.tree.leaves(state)) for state in self.init(params)]
         places: list[int] = []  # index of each state of a linear actuator among all states
         for index in self.arrangement.linear:
@@ -162,7 +170,10 @@ class Chain:
         stages = stages_of(self.models, self.arrangement.integrated, params, dt)
 
         def move(states: States, command: Scalar) -> tuple[States, Moments]:
-            """The states after the step, and the line that enters the linear actuators or the plant."""
+            """Return the states after the step, and the signal that enters the linear actuators or the plant.
+
+            The signal is given as the straight line with its mean and first moment.
+            """
             value = self.output_behind(self.arrangement.sampled, params, states, command)
             course = Course((value,) * len(NODES), Moments(value, rise=0.0))
             next_states = dict(enumerate(states))
@@ -174,7 +185,7 @@ class Chain:
         return move
 
     def step(self, params: Values, states: States, command: Scalar, dt: Scalar) -> States:
-        """The states of all actuators after a step with the command held."""
+        """Return the states of all actuators after a step of length dt [s] with the command held."""
         move = self.advance(params, dt)
         next_states, line = move(states, command)
         if not self.arrangement.linear:
@@ -184,7 +195,7 @@ class Chain:
         return tuple(linear_states.get(index, state) for index, state in enumerate(next_states))
 
     def smoothness(self, params: Values) -> Smoothness:
-        """Where the chain has a derivative; see :func:`smoothness_of`."""
+        """Return where the chain has a derivative; see :func:`smoothness_of`."""
         return smoothness_of(self.elements, params)
 
     def averages(self, params: Values) -> bool:
@@ -194,16 +205,17 @@ class Chain:
 
 @lru_cache(maxsize=256)
 def chain(elements: tuple[Element, ...]) -> Unmodelled:
-    """Several actuators in series as one model of unmodelled dynamics.
+    """Return several actuators in series as one model of unmodelled dynamics.
 
-    Its parameters and its state are tuples of the parameters and states of the elements, in their order.
+    The model's parameters and state are tuples of the parameters and states of the elements, in the elements' order.
 
     Raises:
-        ConfigError: As for :func:`arrange`.
+        ConfigError: The elements cannot stand in this order; see :func:`arrange`.
     """
     arrangement = arrange(elements)
     functions = Chain(elements, arrangement)
     is_moving = functions.is_moving
+    # without moving elements, the sampled ones still act before the linear ones: `advance` gives their constant output
     has_advance = is_moving or (arrangement.sampled and arrangement.linear)
     return Unmodelled(
         NoParams,
@@ -223,13 +235,17 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
 
 
 def time_constant_path(models: Sequence[Unmodelled]) -> str:
-    """Dotted path of the ``time_constant`` if exactly one element declares it, such as ``1.mu``; else empty."""
+    """Return the dotted path of the ``time_constant``, such as ``1.mu``, if exactly one element has one; else ""."""
     names = [f"{index}.{model.time_constant}" for index, model in enumerate(models) if model.time_constant]
     return names[0] if len(names) == 1 else ""
 
 
 def smoothness_of(elements: tuple[Element, ...], params: Values) -> Smoothness:
-    """The smoothness of a chain: it has a derivative where all its elements have one.
+    """Return the smoothness of a chain, which has a derivative where all its elements have one.
+
+    Args:
+        elements: The elements of the chain.
+        params: Parameters of each element.
 
     Raises:
         ConfigError: An element does not declare its smoothness.
@@ -261,7 +277,7 @@ def smoothness_of(elements: tuple[Element, ...], params: Values) -> Smoothness:
 def substitution(
     elements: tuple[Element, ...], smoothness: Sequence[Smoothness], indices: Sequence[int]
 ) -> Substitution:
-    """Return the :data:`Substitution` of a chain by a chain in which the substitutes of some elements replace them.
+    """Return the :data:`Substitution` of a chain by the chain in which some elements are replaced by their substitutes.
 
     Args:
         elements: The elements of the chain.
@@ -270,7 +286,7 @@ def substitution(
     """
 
     def substitute(params: Values) -> tuple[Unmodelled, Values]:
-        """The chain with substitutes, and its parameters."""
+        """Return the chain with the substitutes, and its parameters."""
         substitutes = list(elements)
         values = list(params)
         for index in indices:

@@ -52,7 +52,7 @@ Desired = TypeVar("Desired", bound=ReferencePoint | ReferencePoints)
 
 
 class NoParams(NamedTuple):
-    """The parameters of a model that has none."""
+    """The parameters of a model that has no parameters."""
 
 
 class Plant(NamedTuple, Generic[Output, Signal]):
@@ -65,10 +65,10 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         params: NamedTuple type of the parameters.
         init: ``(params) -> state`` at t = 0.
         derivative: ``(params, state, input, t) -> state'``, the same structure as the state.
-        measure: ``(params, state, input) -> Measurement``. At a sample, ``input`` is the input just before it: the
-            commands that reach the plant, the disturbances and the wind. So a y' that depends on the input (a load
-            current in v') can be the derivative that a sensor shows. Where a disturbance that depends on the
-            measurement is evaluated, and at an equilibrium, commands and disturbances of ``input`` are 0.
+        measure: ``(params, state, input) -> Measurement``. At a sample, ``input`` is the input just before the sample:
+            the commands that reach the plant, the disturbances and the wind. So a y' that depends on the input (a load
+            current in v') can be the derivative that a sensor shows. Commands and disturbances of ``input`` are 0 at an
+            equilibrium, and where the measurement serves to evaluate a disturbance that depends on it.
         input_gain: ``(params) -> k_p``, the high-frequency gain from command to y''.
         velocities: Names of the state's fields that semi-implicit Euler advances first.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
@@ -87,7 +87,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
             where it adds nothing. None: the plant is linear.
         onboard: Names, in words, of the parts of the plant that are software of the vehicle; the generated code of the
             controllers does not contain them.
-        smooth: Where the part has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
+        smooth: Where the plant has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
         info: NamedTuple type of what ``monitor`` reports. Fields annotated with a ``Quantity`` have its unit and
             meaning in trajectories; the others have none.
         outputs: ``(params) -> signals`` that ``monitor`` reports, for a plant whose table names them; None: the fields
@@ -99,7 +99,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         advance: ``(params, state, input, t, h) -> state`` after a step of length h [s] with constant input, for a plant
             with a solver of its own; None: the loop integrates ``derivative``.
         begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the plant keeps no state outside of JAX.
-        native: File of the native code that it calls, which has no derivative; empty: all of it is JAX.
+        native: File of the native code that the plant calls, which has no derivative; empty: the plant is all JAX.
         settle: ``(params, state, wind) -> state`` at t = 0, from the state of ``init``: in equilibrium with the mean
             wind at the start [m/s] if the parameters ask for it. Not called without a wind. None: the plant starts in
             the state of ``init`` in any wind.
@@ -137,10 +137,10 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     flies: bool = False
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
-        """The declared signals that ``monitor`` reports with these parameters.
+        """Return the declared signals that ``monitor`` reports with these parameters.
 
-        The table of the plant declares them, or else the fields of ``info``. A signal without unit and meaning is not
-        declared, and left out.
+        ``outputs`` declares them or, if it declares none, the fields of ``info`` do. A field without a unit and meaning
+        declares no signal, and is left out.
         """
         declared_in_table = self.outputs(params) if self.outputs else ()
         if declared_in_table:
@@ -177,10 +177,10 @@ class Controller(NamedTuple):
         synthesised: ``(gains) -> (K_P, K_I)`` of the law u = -K_P sigma - K_I int sigma (22) near the origin; None: the
             controller synthesises no such law.
         describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
-        takes: ``(gains) -> n``: number of measured signals that it takes from ``measurement.signals``; 0: it takes y
-            and y' alone.
-        signals: The measured signals that it takes by name, in its order; (): all signals of the study, in the study's
-            order.
+        takes: ``(gains) -> n``: number of measured signals that the controller takes from ``measurement.signals``; 0:
+            only y and y'.
+        signals: The measured signals that the controller takes by name, in its own order; (): all signals of the study,
+            in the study's order.
         fit: ``(gains, LoopSetting) -> gains`` when the study is built: computes gains from the nominal plant and the
             sample time, or checks them; raises ConfigError. None: the gains need neither.
         tunable: Names of the gains that a comparison tunes, dotted within the controller's table, or a function from
@@ -190,9 +190,9 @@ class Controller(NamedTuple):
         limit: Name of the gain that bounds the command; empty: there is none.
         info: NamedTuple type of the info. Fields annotated with a ``Quantity`` have its unit and meaning in
             trajectories; the others have none.
-        native: File of the native code that it calls, which has no derivative; empty: all of it is JAX.
+        native: File of the native code that it calls, which has no derivative; empty: the controller is all JAX.
         begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the controller keeps no state outside of JAX.
-        takes_rate: Whether its command depends on y'; None: the package finds out by trial steps.
+        takes_rate: Whether the command depends on y'; None: the package finds out by trial steps.
         without_effect: Names of the parameters of native code whose change altered no command in trial flights.
     """
 
@@ -217,12 +217,12 @@ class Controller(NamedTuple):
     without_effect: tuple[str, ...] = ()
 
     def tunable_gains(self, gains: Params) -> tuple[str, ...]:
-        """Names of the gains that a comparison tunes, dotted within the controller's table."""
+        """Return the names of the gains that a comparison tunes, dotted within the controller's table."""
         return self.tunable(gains) if callable(self.tunable) else self.tunable
 
     @property
     def params(self) -> type:
-        """The gains, under the name that all models share."""
+        """The type of the gains, under the name that all models share."""
         return self.gains
 
 
@@ -235,11 +235,11 @@ class Reference(NamedTuple, Generic[Desired]):
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         defaults: Instance of the parameters with the values of the fields that a table leaves out; None: the type's
             own defaults hold.
-        level: ``(params) -> y`` of a reference of one channel: the constant about which it moves or at which it ends;
-            None: 0.
-        of_angle: The reference for an output that is an angle, such as one that takes the shorter way from value to
-            value; None: the same for all outputs.
-        last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
+        level: ``(params) -> y`` of a reference of one channel: the constant about which the reference moves or at which
+            it ends; None: 0.
+        of_angle: The reference in place of this one for an output that is an angle, such as one that takes the shorter
+            way from value to value; None: this reference serves all outputs.
+        last_change: Time from which the reference does nothing new; None: ``[loop.settled]`` refuses it.
     """
 
     params: type
@@ -272,8 +272,8 @@ class Disturbance(NamedTuple):
         value: ``(params, state, measurement, sigma, t) -> d``, evaluated in every stage of the integrator.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         variation: Variables on which ``value`` depends within a sample.
-        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
-        last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
+        smooth: Where ``value`` has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
+        last_change: Time from which the disturbance does nothing new; None: ``[loop.settled]`` refuses it.
     """
 
     params: type
@@ -295,9 +295,9 @@ class Sensor(NamedTuple):
         step: ``(params, state, measurement, key, t, dt) -> (state, measurement)`` at each sample.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
-        transparent: ``(params) -> bool``: whether it passes y and y' on at once, but for noise, constant errors and
-            rounding. The continuous-time analysis leaves a sensor out, and says so of one that is not transparent.
-        resolution: ``(params) -> step`` of which its readings of y are multiples, or None; None: it rounds none.
+        transparent: ``(params) -> bool``: whether the sensor passes y and y' on at once, but for noise, constant errors
+            and rounding. The continuous-time analysis leaves out every sensor, and names those not transparent.
+        resolution: ``(params) -> step`` of which the readings of y are multiples, or None; None: they are not rounded.
     """
 
     params: type
@@ -314,12 +314,12 @@ class Differentiator(NamedTuple):
 
     Args:
         params: NamedTuple type of the parameters.
-        init: ``(params, measurement) -> state`` from the first measurement; of it only y may be used.
+        init: ``(params, measurement) -> state`` from the first measurement, of which only y may be used.
         step: ``(params, state, measurement, dt) -> (state, measurement)`` at each sample.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
-        transparent: ``(params) -> bool``: whether it passes y and y' on at once. The continuous-time analysis leaves a
-            differentiator out, and says so of one that is not transparent.
+        transparent: ``(params) -> bool``: whether the differentiator passes y and y' on at once. The continuous-time
+            analysis leaves out every differentiator, and names those that are not transparent.
     """
 
     params: type
@@ -331,7 +331,7 @@ class Differentiator(NamedTuple):
 
 
 class Timing(StrEnum):
-    """When an actuator with a state and a piecewise constant output acts on its input; decides its place in a chain."""
+    """When an actuator with a state and a piecewise constant output acts on its input; sets its place in a chain."""
 
     SAMPLED = "sampled"  # once a sample, as a computer does: before all elements that move between the samples
     INVARIANT = "invariant"  # it commutes with dynamics, as a delay does: it acts before them wherever it stands
@@ -345,15 +345,15 @@ Mover: TypeAlias = Callable[[State, Scalar], tuple[State, Moments]]
 class Unmodelled(NamedTuple):
     """Unmodelled dynamics G_mu(mu s) in series with the plant input (Section V-A2).
 
-    The loop needs their output between the samples. Linear dynamics declare ``linear``, dynamics whose output is
-    constant between the samples declare ``held``; both are then exact at any T_s. All others are advanced by ``step``,
-    and their output acts through its :class:`Moments`.
+    The loop needs their output between the samples. Linear dynamics declare ``linear``, and dynamics whose output is
+    constant between the samples declare ``held``; the loop is then exact at any T_s. All other dynamics advance by
+    ``step``, and their output acts on the plant through its :class:`Moments`.
 
     Args:
         params: NamedTuple type of the parameters.
         init: ``(params) -> state``, at rest.
         step: ``(params, state, command, dt) -> state`` with the command held over dt.
-        output: ``(params, state, command) -> command`` received by the plant.
+        output: ``(params, state, command) -> command`` that the plant receives.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         sample: ``(params, state, command, key, dt) -> state`` once per sample of length dt, at the time of its
             command. The random key differs from channel to channel and from sample to sample.
@@ -362,15 +362,15 @@ class Unmodelled(NamedTuple):
         moments: ``(params, state, command, dt) -> Moments`` of the output over dt; None: by Simpson's rule.
         smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: linearisations refuse it.
         continuous: Whether the slope of ``step`` at dt = 0 is the derivative of a model in continuous time.
-        time_constant: Name of the parameter that scales all their times, such as mu of a lag; the theory predicts
-            oscillations as a function of it. Empty: no parameter does so.
-        timing: When they act, if their output is held and they have a state.
+        time_constant: Name of the parameter that scales all times of the dynamics, such as mu of a lag; the theory
+            predicts oscillations as a function of this parameter. Empty: no parameter does so.
+        timing: When the dynamics act, if their output is held and they have a state.
         advance: ``(params, dt) -> Mover``, called once for a draw, in place of ``step`` and ``moments``. If ``linear``
             is declared, too, ``advance`` moves only the elements before the linear part, leaves the states of the
-            linear part alone, and returns the moments of its input; ``held`` then says that this input is constant from
-            one sample to the next.
+            linear part alone, and returns the moments of that part's input; ``held`` then says that this input is
+            constant from one sample to the next.
         follow: ``(params, state, start, end, dt) -> state`` for a command that goes in a straight line from start to
-            end over dt; None: a step with its mean.
+            end over dt; None: a step with the mean of the command.
         order: Order of the error of ``step``, ``moments`` or ``advance`` in the step; None: the order of the loop's
             method of integration holds.
         superposes: Whether ``sample`` and ``output`` are linear in state and command; ``linear`` implies it.

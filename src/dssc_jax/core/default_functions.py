@@ -1,4 +1,7 @@
-"""Functions that models use where a contract needs one and they have nothing to do."""
+"""Functions for models that have nothing to do where a contract requires a function.
+
+Their arguments are those of the contract, and have no effect.
+"""
 
 import jax
 
@@ -16,27 +19,27 @@ def no_constraint(params: Params, state: State) -> State:
 
 
 def no_info(params: Params, state: State, drive: PlantInput) -> tuple[()]:
-    """Report nothing."""
+    """Return an empty info: the plant reports nothing."""
     return ()
 
 
 def never_broken(params: Params, state: State) -> bool:
-    """Report that the model is valid in every state."""
+    """Return False: the model is valid in every state."""
     return False
 
 
 def never_grounded(params: Params, state: State, drive: PlantInput, t: Scalar, dt: Scalar) -> bool:
-    """Report that there is no ground."""
+    """Return False: the model has no ground."""
     return False
 
 
 def stateless(params: Params, key: jax.Array) -> tuple[()]:
-    """Initialise a model without a state."""
+    """Return the state of a model that has none: an empty tuple."""
     return ()
 
 
 def unchanged(params: Params, state: State, key: jax.Array, t: Scalar, dt: Scalar) -> State:
-    """Return the state unchanged."""
+    """Return the state unchanged: nothing changes from sample to sample."""
     return state
 
 
@@ -46,25 +49,33 @@ def ignore_sample(params: Params, state: State, command: Scalar, key: jax.Array,
 
 
 def no_signals(gains: Params) -> int:
-    """The number of measured signals of a controller that takes y and y' alone: 0."""
+    """Return 0, the number of further measured signals of a controller that takes y and y' alone."""
     return 0
 
 
 def always(params: Params) -> bool:
-    """True for all parameters."""
+    """Return True for all parameters."""
     return True
 
 
 def never(params: Params) -> bool:
-    """False for all parameters."""
+    """Return False for all parameters."""
     return False
 
 
 def unchanging(params: Params) -> float:
-    """The last change of a signal that does the same at all times, but for the times declared as ``begins`` [s]."""
+    """Return 0, the last change [s] of a signal that does the same at all times.
+
+    Changes at the times that parameters declare by ``begins`` do not count; see
+    :data:`~dssc_jax.core.signals.LastChange`.
+    """
     return 0.0
 
 
 def rise_end(params: Params) -> Scalar:
-    """The last change of what begins at the time ``at`` and rises for ``rise`` [s]; 0 if it has no end of a rise."""
+    """Return the last change [s] of an effect that begins at the time ``at`` and rises for the time ``rise``.
+
+    The result is the end of the rise. It is 0 if ``rise`` is None: then the only change is the beginning, which the
+    parameter ``at`` declares by ``begins``.
+    """
     return 0.0 if params.rise is None else params.at + params.rise

@@ -24,7 +24,7 @@ class ConfigError(ValueError):
         super().__init__(f"{location}: {rule}" if location else rule)
 
     def __reduce__(self) -> tuple[type, tuple[str, str]]:
-        """Tell pickle how to make the error again: it travels between a cluster's processes."""
+        """Tell pickle how to make the error again, because errors travel between the processes of a cluster."""
         return ConfigError, (self.where, self.rule)
 
     def within(self, place: str) -> "ConfigError":
@@ -67,8 +67,8 @@ def errors_in_code(subject: str, function: Callable[..., object]) -> Iterator[No
     """Turn any exception of a user's code into a ConfigError of one line, which tells the line of the user's file.
 
     Args:
-        subject: The part of the study that the code belongs to.
-        function: The user's function, whose place is told if the exception comes from a library.
+        subject: The part of the study to which the code belongs.
+        function: The user's function. The message gives its place if no line of the user's leads to the exception.
 
     Raises:
         ConfigError: The code raises an exception.
@@ -96,14 +96,14 @@ def is_of_library(file: str) -> bool:
 
 
 def fold_name(name: str) -> str:
-    """A name in small letters without underscores and hyphens, so that misspelt names compare equal."""
+    """Return a name in small letters without underscores and hyphens, so that similar spellings compare equal."""
     return name.lower().replace("_", "").replace("-", "")
 
 
 def close_names(name: str, valid: Iterable[str]) -> list[str]:
-    """The valid name nearest to a misspelt name, in a list of length 1; an empty list if no name is near.
+    """Return the valid name nearest to a misspelt name, in a list of length 1; an empty list if no name is near.
 
-    A name that is equal after :func:`fold_name` is nearest; without one, the most similar name is.
+    A valid name that is equal after :func:`fold_name` is nearest. If there is none, the most similar name is nearest.
     """
     names = sorted(map(str, valid))
     equal_names = [valid_name for valid_name in names if fold_name(valid_name) == fold_name(name)]

@@ -11,8 +11,8 @@ from dssc_jax.core.signals import Params, Scalar, State
 class Estimation(NamedTuple):
     """Sensors and an estimator that are part of a plant.
 
-    The error of the estimate is part of the plant's state, and constant between two samples: there the software on
-    board sees the true state plus this error. ``memory`` is the state of sensors and estimator.
+    The error of the estimate is part of the plant's state, and constant between two samples. Between the samples, the
+    software on board sees the true state plus this error. ``memory`` is the state of sensors and estimator.
 
     Args:
         is_enabled: ``(params) -> bool``: whether the parameters select an estimator.

@@ -1,4 +1,4 @@
-"""Contracts of events, which change a loop at a time.
+"""Contracts of events, each of which changes a loop at a certain time.
 
 An event of the vehicle changes its :class:`Condition`, which is a part of the vehicle's input, as the wind is. An event
 of a channel is a part in series with the channel's sensor or with its command. A loop without events has neither.
@@ -20,15 +20,15 @@ UNTIL = Quantity("s", "time at which it ends; absent: never", at_least=0.0, ends
 
 
 class Load(NamedTuple):
-    """Moments of the point masses that events have added to the vehicle: each a mass m at a place r.
+    """Moments of the point masses that events have added to the vehicle; each is a mass m at a place r.
 
-    Places are in body axes, from the vehicle's centre of mass without events.
+    Places are in body axes, measured from the centre of mass that the vehicle has without events.
 
     Args:
-        mass: sum m [kg]; negative if the vehicle has lost mass.
-        first: sum m r [kg m].
-        square: sum m r_i^2 for i = x, y, z [kg m^2].
-        product: sum m r_y r_z, sum m r_z r_x, sum m r_x r_y [kg m^2].
+        mass: Sum of m [kg]; negative if the vehicle has lost mass.
+        first: Sum of m r [kg m].
+        square: Sums of m r_i^2 for i = x, y, z [kg m^2].
+        product: Sums of m r_y r_z, m r_z r_x and m r_x r_y [kg m^2].
     """
 
     mass: Scalar
@@ -56,7 +56,7 @@ class Condition(NamedTuple):
 
     Args:
         effectiveness: Thrust of each rotor relative to its thrust without events.
-        voltage: Speed of all rotors relative to their speed without events.
+        voltage: Speed of all rotors relative to their speed without events, as the battery's voltage sets it.
         load: Additional masses.
         shears: Additional winds that change with height.
     """
@@ -73,8 +73,8 @@ class VehicleEvent(NamedTuple):
     Args:
         params: NamedTuple type of the parameters: the time ``at`` and, if the event has them, ``until`` and ``rise``
             [s].
-        change: ``(params, condition, share, rotors) -> condition``. ``share`` in [0, 1] tells how much of the event has
-            happened, ``rotors`` is the number of rotors.
+        change: ``(params, condition, share, rotors) -> condition`` with the event. ``share`` in [0, 1] tells how much
+            of the event has happened, ``rotors`` is the number of rotors.
         changes: Name, in words, of the number of the loop that the event changes.
         prepare: ``(params) -> params`` before tracing; raises ConfigError.
         last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
@@ -92,7 +92,7 @@ class SensorEvent(NamedTuple):
 
     Args:
         params: NamedTuple type of the parameters.
-        wrap: ``(sensor) -> sensor`` with the event, whose parameters are :class:`Wrapped`.
+        wrap: ``(sensor) -> sensor`` with the event; the parameters of the returned sensor are :class:`Wrapped`.
         changes: Name, in words, of the number of the loop that the event changes.
         prepare: ``(params) -> params`` before tracing; raises ConfigError.
         last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
@@ -134,21 +134,26 @@ AnyEvent = VehicleEvent | SensorEvent | CommandEvent
 
 
 def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
-    """Share of an event that has happened, in [0, 1], averaged over the sample [t, t + dt).
+    """Return the share of an event that has happened, in [0, 1], averaged over the sample [t, t + dt).
 
-    So an event that begins within a sample acts with its mean. It grows in a straight line over its ``rise``, and
-    vanishes at ``until``. Times are clipped to the sample, so rounding changes nothing: before the event the share is
-    exactly 0, and after its rise exactly 1.
+    So an event that begins within a sample acts with its mean over the sample. The share grows in a straight line over
+    the event's ``rise``, and vanishes at ``until``. Times are clipped to the sample, so rounding changes nothing: the
+    share is exactly 0 before the event, and exactly 1 after the rise.
+
+    Args:
+        params: Parameters of the event: ``at`` and, if the event has them, ``rise`` and ``until`` [s].
+        t: Start of the sample [s].
+        dt: Length of the sample [s].
     """
     rise = getattr(params, "rise", None)
     until = getattr(params, "until", None)
 
     def within_sample(time: Scalar) -> Scalar:
-        """The place of a time in the sample, from 0 at t to 1 at t + dt; clipped to the sample."""
+        """Return the place of a time [s] in the sample, from 0 at t to 1 at t + dt; clipped to [0, 1]."""
         return jnp.clip((time - t) / dt, 0.0, 1.0)
 
     def risen(place: Scalar) -> Scalar:
-        """The share of the event that has happened at a place in the sample, during its rise."""
+        """Return the share of the event that has happened at a place in the sample, in [0, 1]."""
         return jnp.clip((t - params.at + place * dt) / rise, 0.0, 1.0)
 
     begin = within_sample(params.at)
@@ -165,7 +170,7 @@ def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
 def condition_at(
     events: tuple[VehicleEvent, ...], params: tuple[Params, ...], t: Scalar, dt: Scalar, rotors: int
 ) -> Condition | None:
-    """The condition of the vehicle in the sample [t, t + dt); None if the study has no events of the vehicle.
+    """Return the condition of the vehicle in the sample [t, t + dt); None if the study has no events of the vehicle.
 
     Args:
         events: The events in the order of the study.

@@ -48,12 +48,12 @@ class UnsafeFileError(OSError):
 
 
 def file_type(mode: int) -> str:
-    """The type of a file that is not regular, in words, from its ``st_mode``."""
+    """Return the type of a file that is not regular in words, given its ``st_mode``."""
     return FILE_TYPES.get(stat.S_IFMT(mode), "no regular file")
 
 
 def mode_of(path: Path) -> int | None:
-    """``st_mode`` of what a path leads to, where a symbolic link is not followed; None if nothing is there."""
+    """Return ``st_mode`` of what is at a path, of a symbolic link the link's own; None if nothing is there."""
     try:
         return path.lstat().st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -68,8 +68,8 @@ def open_regular_file(path: str | Path) -> Iterator[BinaryIO]:
         path: The file.
 
     Raises:
-        UnsafeFileError: It is a named pipe, a device or a socket.
-        OSError: It cannot be read.
+        UnsafeFileError: The path leads to a named pipe, a device or a socket.
+        OSError: The file cannot be read.
     """
     require_readable(Path(path), os.stat(path).st_mode)
     descriptor = os.open(path, READING)
@@ -79,11 +79,11 @@ def open_regular_file(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: str | Path, size: int = -1) -> bytes:
-    """The content of a regular file; errors as for :func:`open_regular_file`.
+    """Return the content of a regular file; raise the errors of :func:`open_regular_file`.
 
     Args:
         path: The file.
-        size: Most bytes to read; -1: all.
+        size: Largest number of bytes to read; -1: all.
     """
     with open_regular_file(path) as file:
         return file.read(size)
@@ -97,8 +97,8 @@ def require_readable(path: Path, mode: int) -> None:
         mode: ``st_mode`` of the file at the end of its symbolic links.
 
     Raises:
-        IsADirectoryError: It leads to a folder.
-        UnsafeFileError: It leads to a pipe, a device or a socket.
+        IsADirectoryError: The path leads to a folder.
+        UnsafeFileError: The path leads to a pipe, a device or a socket.
     """
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
@@ -107,7 +107,7 @@ def require_readable(path: Path, mode: int) -> None:
 
 
 def read_text(path: str | Path, errors: str = "strict") -> str:
-    """The content of a regular UTF-8 file, with line ends as ``\\n``.
+    """Return the content of a regular UTF-8 file, with line ends as ``\\n``.
 
     Args:
         path: The file.
@@ -115,18 +115,18 @@ def read_text(path: str | Path, errors: str = "strict") -> str:
 
     Raises:
         UnicodeDecodeError: The file is not UTF-8, and ``errors`` is ``strict``.
-        OSError: As for :func:`open_regular_file`.
+        OSError: The file cannot be read, or is not regular.
     """
     text = read_bytes(path).decode("utf-8", errors)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def write_text(path: Path, text: str | Iterable[str], within: Path | None = None, durable: bool = True) -> None:
-    """Write a UTF-8 file completely, or not at all; errors as for :func:`replacing`.
+    """Write a UTF-8 file completely, or not at all; raise the errors of :func:`replacing`.
 
     Args:
         path: The file.
-        text: Its content, or the parts of it.
+        text: The content of the file, or the parts of the content in order.
         within: See :func:`replacing`.
         durable: See :func:`replacing`.
     """
@@ -137,13 +137,13 @@ def write_text(path: Path, text: str | Iterable[str], within: Path | None = None
 
 
 def write_bytes(path: Path, content: bytes | memoryview, within: Path | None = None, durable: bool = True) -> None:
-    """Write a file completely, or not at all; arguments and errors as for :func:`replacing`."""
+    """Write a file with ``content`` completely, or not at all; for other arguments and errors see :func:`replacing`."""
     with replacing(path, within, durable) as file:
         file.write(content)
 
 
 def write_parts(path: Path, parts: Iterable[bytes]) -> None:
-    """Write a file completely from its parts, or not at all; errors as for :func:`replacing`."""
+    """Write a file, given the parts of its content, completely or not at all; raise the errors of :func:`replacing`."""
     with replacing(path) as file:
         for part in parts:
             file.write(part)
@@ -154,7 +154,7 @@ def create_text(path: Path, text: str) -> None:
 
     Raises:
         FileExistsError: The path exists.
-        OSError: It cannot be written.
+        OSError: The file cannot be written.
     """
     create_file(path).close()  # reserves the name
     try:
@@ -168,16 +168,16 @@ def create_text(path: Path, text: str) -> None:
 def replacing(path: Path, within: Path | None = None, durable: bool = True) -> Iterator[BinaryIO]:
     """Open a temporary binary file that replaces ``path`` if the block ends without an exception.
 
-    A replaced file hands its permissions on to the new one.
+    The new file gets the permissions of the file that it replaces.
 
     Args:
         path: The file.
-        within: The folder below which no part of the path may be a symbolic link; None: only the file itself may not.
-        durable: Flush file and folder to disk, so that not even a power cut leaves a part.
+        within: The folder below which no part of the path may be a symbolic link; None: only the file must be none.
+        durable: Flush file and folder to disk, so that not even a power cut leaves a part of a file.
 
     Raises:
         UnsafeFileError: The path, or a folder of it below ``within``, is a symbolic link or of another wrong kind.
-        OSError: It cannot be written.
+        OSError: The file cannot be written.
     """
     require_inside(path, within)
     replaced_mode = require_replaceable(path)
@@ -201,13 +201,13 @@ def replacing(path: Path, within: Path | None = None, durable: bool = True) -> I
 
 
 def create_file(path: Path) -> BinaryIO:
-    """Create a file and open it for writing; raises FileExistsError if the path exists, be it as a symbolic link."""
+    """Create a file and open it for writing; raise FileExistsError if the path exists, even as a broken link."""
     for_all_users = 0o666  # less what the user's umask forbids
     return os.fdopen(os.open(path, CREATION, for_all_users), "wb")
 
 
 def partial_path(path: Path) -> Path:
-    """The path of the temporary file that is written in place of a file, beside it; no other writer uses its name."""
+    """Return the path of a temporary file beside a file, with a random name that no other writer uses."""
     return path.with_name(f".{path.name[:REPEATED_NAME]}.{uuid4().hex}{PARTIAL}")
 
 
@@ -218,7 +218,7 @@ def flush(file: BinaryIO) -> None:
 
 
 def flush_folder(folder: Path) -> None:
-    """Flush a folder's list of files to disk, so that a power cut loses no name; where the system can do so."""
+    """Flush a folder's list of files to disk, so that a power cut loses no name; do nothing if the system cannot."""
     if not POSIX:
         return
     descriptor = os.open(folder, DIRECTORY)
@@ -266,7 +266,7 @@ def require_inside(path: Path, within: Path | None) -> None:
 
 
 def require_plain_tree(folder: Path) -> None:
-    """Require that a folder contains only regular files and folders, before anything is written; raises ConfigError."""
+    """Require, before anything is written, that a folder contains only regular files and folders; raise ConfigError."""
     for place, folders, names in os.walk(folder):
         for name in (*folders, *names):
             path = Path(place) / name
@@ -285,7 +285,7 @@ def make_folder(folder: Path, within: Path | None = None) -> None:
 
     Raises:
         UnsafeFileError: A part of the path is a symbolic link or a file.
-        OSError: It cannot be created.
+        OSError: The folder cannot be created.
     """
     if within is None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -319,8 +319,8 @@ def delete_tree(folder: Path, within: Path | None) -> None:
         within: The folder below which no part of the path may be a symbolic link; None: links are followed.
 
     Raises:
-        UnsafeFileError: It is a symbolic link or a file, or a folder above it and below ``within`` is.
-        OSError: It cannot be deleted.
+        UnsafeFileError: The folder, or a folder of its path below ``within``, is a symbolic link or a file.
+        OSError: The folder cannot be deleted.
     """
     require_inside(folder / PARTIAL, within)
     if mode_of(folder) is not None:
@@ -336,18 +336,18 @@ def delete_partials(folder: Path) -> None:
 
 
 def unsafe_error(path: Path, rule: str) -> UnsafeFileError:
-    """The error for a path that is not followed or overwritten; ``rule`` continues a sentence about the path."""
+    """Return the error for a path that is not followed or overwritten; ``rule`` completes "'PATH' ..."."""
     return UnsafeFileError(errno.ELOOP, f"'{path}' {rule}", str(path))
 
 
 class HeldFolder:
-    """A folder identified by its device and inode, which notices if its path leads to another folder or to none.
+    """A folder identified by its device and inode, to find out whether its path still leads to the same folder.
 
     Args:
         path: An existing folder. It is kept open until :meth:`close`, so that no new folder gets the same inode.
 
     Raises:
-        OSError: It cannot be opened.
+        OSError: The folder cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
@@ -358,7 +358,7 @@ class HeldFolder:
         self._identity = device_and_inode(path)
 
     def require_in_place(self) -> None:
-        """Require that the path still leads to the folder, and not to another or to none; raises ConfigError."""
+        """Require that the path still leads to this folder, not to another or to none; raise ConfigError otherwise."""
         try:
             present = device_and_inode(self.path)
         except OSError:
@@ -367,7 +367,7 @@ class HeldFolder:
             raise ConfigError(str(self._shown), self._fate())
 
     def _fate(self) -> str:
-        """What became of the folder, in words: it was deleted, or moved to a place that Linux may tell."""
+        """Return what became of the folder, in words: deleted, or moved to a place that only Linux can tell."""
         location = ""
         if self._descriptor is not None:
             with suppress(OSError):
@@ -389,6 +389,6 @@ class HeldFolder:
 
 
 def device_and_inode(path: Path) -> tuple[int, int]:
-    """Device and inode of a file or folder, which identify it among all that exist at the same time."""
+    """Return device and inode of a file or folder, which no other file or folder has at the same time."""
     status = path.stat()
     return status.st_dev, status.st_ino

@@ -21,6 +21,6 @@ def flag_runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def longest_run(flags: np.ndarray) -> int:
-    """The length of the longest run of true flags; 0 if no flag is true."""
+    """Return the length of the longest run of true flags, shape (n,); 0 if no flag is true."""
     begins, ends = flag_runs(flags)
     return int(np.max(ends - begins, initial=0))

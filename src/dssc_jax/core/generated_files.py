@@ -19,7 +19,8 @@ def require_replaceable(folder: Path, names: Iterable[str]) -> None:
         names: Names of the files to write.
 
     Raises:
-        ConfigError: A file's digest differs from what :func:`write_sums` stored, so it may be somebody's work.
+        ConfigError: A file's digest differs from the one that :func:`write_sums` stored, or none is stored. The file
+            may then be somebody's work.
     """
     sums = stored_sums(folder)
     for name in names:
@@ -41,7 +42,7 @@ def write_sums(folder: Path, names: Iterable[str]) -> None:
 
 
 def stored_sums(folder: Path) -> dict[str, str]:
-    """The digest of each generated file that :func:`write_sums` stored, by the file's name; empty if it stored none."""
+    """Return the stored digest of each generated file, by the file's name; empty if :func:`write_sums` stored none."""
     path = folder / SUMS
     if not path.is_file():
         return {}
@@ -55,5 +56,5 @@ def stored_sums(folder: Path) -> dict[str, str]:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 digest of a file's content, in hexadecimal."""
+    """Return the SHA-256 digest of a file's content, in hexadecimal."""
     return hashlib.sha256(files.read_bytes(path)).hexdigest()

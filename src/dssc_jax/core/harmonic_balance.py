@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 
 class HarmonicBalance(NamedTuple):
-    """A switching law's side of the harmonic balance N(A, w) = q, from which its limit cycles follow.
+    """A switching law's side of the harmonic balance N(A, w) = q, from which the limit cycles of the loop follow.
 
-    N is the law's describing function for a sigma of amplitude A and angular frequency w. The plant gives
-    q = -1/W(i w), with W its transfer function from the command to sigma, and Re q > 0.
+    N is the law's describing function for a sigma of amplitude A and angular frequency w [rad/s]. The plant gives
+    q = -1/W(i w), where W is its transfer function from the command to sigma; Re q > 0 is required.
 
     Args:
         amplitude: ``(q) -> A``, the amplitude of sigma at which the real parts balance.

@@ -8,7 +8,7 @@ def closure(states: np.ndarray, influences: np.ndarray) -> np.ndarray:
 
     Args:
         states: Masks of the sets, shape (..., n) for n states.
-        influences: Whether the state of each row depends on the state of each column, shape (..., n, n).
+        influences: Entry [..., i, j] tells whether state i depends directly on state j, shape (..., n, n).
 
     Returns:
         Masks of the extended sets, shape (..., n).

@@ -21,14 +21,18 @@ class Integrator(StrEnum):
 
 
 def advance(state: S, rate: S, h: Scalar) -> S:
-    """The state after a step of length h [s] with a constant rate: state + h rate, leaf by leaf."""
+    """Return the state after a step of length h [s] with a constant rate: state + h rate, leaf by leaf."""
     return jax.tree.map(lambda x, dx: x + h * dx, state, rate)
 
 
 def rk4(derivative: VectorField, state: S, h: Scalar, velocities: tuple[str, ...]) -> S:
-    """The state after a step of length h [s] by the classical Runge-Kutta method of order 4.
+    """Return the state after a step of length h [s] by the classical Runge-Kutta method of order 4.
 
-    All methods have the same arguments; this one makes no use of ``velocities``.
+    Args:
+        derivative: ``(state, half_steps) -> state'``.
+        state: The state at the start of the step.
+        h: Length of the step [s].
+        velocities: Without effect; all methods have the same arguments.
     """
     del velocities
     k1 = derivative(state, 0)
@@ -40,14 +44,15 @@ def rk4(derivative: VectorField, state: S, h: Scalar, velocities: tuple[str, ...
 
 
 def semi_implicit_euler(derivative: VectorField, state: S, h: Scalar, velocities: tuple[str, ...]) -> S:
-    """The state after a step of length h [s]: first the velocities advance, then all other fields with the new ones.
+    """Return the state after a step of length h [s] by the semi-implicit Euler method, of order 1.
 
-    The method has order 1, and keeps the energy of oscillators bounded (it is symplectic).
+    First the velocities advance, then all other fields, with the derivative at the new velocities. The method is
+    symplectic: it keeps the energy of oscillators bounded.
 
     Args:
-        derivative: The derivative of the state.
-        state: The state, a NamedTuple.
-        h: The step [s].
+        derivative: ``(state, half_steps) -> state'``.
+        state: The state at the start of the step, a NamedTuple.
+        h: Length of the step [s].
         velocities: Names of the fields that advance first.
     """
     first = advance(state, derivative(state, 0), h)

@@ -1,8 +1,8 @@
 """Interval arithmetic on arrays, and the range of a function over a box.
 
-An operation's ends are computed in float64 as the operation itself would compute them. So an interval encloses what
-float64 gives at every point of its arguments, up to the last bit of exp, log, sin, cos and powers; it is no enclosure
-in exact arithmetic.
+The ends of an operation's result are computed in float64, by the operation itself. So an interval encloses the float64
+values of the operation at all points of its arguments, up to the last bit of exp, log, sin, cos and powers. It is no
+enclosure in exact arithmetic.
 
 Reference:
     R. E. Moore, R. B. Kearfott, M. J. Cloud, Introduction to Interval Analysis (2009): inclusion and subdivision.
@@ -31,8 +31,8 @@ class Interval(NamedTuple):
     Args:
         low: Lower ends, any shape.
         high: Upper ends, of the same shape.
-        defined: Whether the function whose range the interval is has a value at every point of its arguments, of the
-            same shape.
+        defined: Whether the function that has this range has a value at every point of its arguments, of the same
+            shape.
     """
 
     low: np.ndarray
@@ -41,7 +41,7 @@ class Interval(NamedTuple):
 
     @classmethod
     def of(cls, low: np.ndarray | float, high: np.ndarray | float) -> "Interval":
-        """The interval between two ends; unbounded ends are the largest numbers."""
+        """Return the interval between two ends; an infinite end becomes the largest finite number of its sign."""
         lowest, highest = np.broadcast_arrays(np.clip(low, -LARGEST, LARGEST), np.clip(high, -LARGEST, LARGEST))
         return cls(lowest, highest, np.ones(lowest.shape, bool))
 
@@ -51,12 +51,12 @@ Function: TypeAlias = Callable[..., Interval]
 
 
 def hull(corners: Sequence[np.ndarray], *arguments: Interval, defined: np.ndarray | bool = True) -> Interval:
-    """The smallest interval that contains several values.
+    """Return the smallest interval that contains several values, the extremes of an operation.
 
     Args:
         corners: The values, arrays of one shape; a NaN makes the interval unbounded.
-        arguments: The arguments of the operation, whose ``defined`` the result inherits.
-        defined: Whether the operation itself has a value everywhere.
+        arguments: The arguments of the operation. The result is defined only where all of them are.
+        defined: Whether the operation itself has a value for all points of its arguments.
     """
     stacked = np.stack(np.broadcast_arrays(*corners))
     low = np.where(np.isnan(stacked), -np.inf, stacked).min(axis=0)
@@ -67,45 +67,45 @@ def hull(corners: Sequence[np.ndarray], *arguments: Interval, defined: np.ndarra
 
 
 def end_pairs(a: Interval, b: Interval) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The four pairs of an end of a and an end of b, at which a monotonic operation has its extremes."""
+    """Return the four pairs of an end of a and an end of b; an operation monotonic in both has its extremes there."""
     return list(itertools.product((a.low, a.high), (b.low, b.high)))
 
 
 def add(a: Interval, b: Interval) -> Interval:
-    """The sums a + b."""
+    """Return the interval of the sums a + b."""
     return hull([a.low + b.low, a.high + b.high], a, b)
 
 
 def subtract(a: Interval, b: Interval) -> Interval:
-    """The differences a - b."""
+    """Return the interval of the differences a - b."""
     return hull([a.low - b.high, a.high - b.low], a, b)
 
 
 def negative(a: Interval) -> Interval:
-    """The numbers -a."""
+    """Return the interval of the numbers -a."""
     return Interval(-a.high, -a.low, a.defined)
 
 
 def multiply(a: Interval, b: Interval) -> Interval:
-    """The products a b."""
+    """Return the interval of the products a b."""
     return hull([x * y for x, y in end_pairs(a, b)], a, b)
 
 
 def divide(a: Interval, b: Interval) -> Interval:
-    """The quotients a/b, undefined where b may be 0."""
+    """Return the interval of the quotients a/b, which is not defined where b may be 0."""
     return hull([x / y for x, y in end_pairs(a, b)], a, b, defined=~contains(b, 0.0))
 
 
 def contains(a: Interval, value: float) -> np.ndarray:
-    """Whether a value lies in each interval, an array of the intervals' shape."""
+    """Return whether a value lies in each interval, an array of truth values of the intervals' shape."""
     return (a.low <= value) & (value <= a.high)
 
 
 def power(a: Interval, b: Interval) -> Interval:
-    """a^b as an interval, and where it is defined.
+    """Return the interval of the powers a^b.
 
-    It is not where a may be negative and b is not one whole number, nor where a may be 0 and b is neither positive nor
-    the number 0.
+    The power is not defined if a may be negative and b is not one whole number. It is not defined either if a may be 0
+    and b is neither positive throughout nor the number 0.
     """
     corners = [np.power(x, y) for x, y in end_pairs(a, b)]
     is_integer = (b.low == b.high) & (b.low == np.round(b.low))  # b is one whole number
@@ -119,27 +119,27 @@ def power(a: Interval, b: Interval) -> Interval:
 
 
 def square_root(a: Interval) -> Interval:
-    """The square root of a, undefined below 0."""
+    """Return the interval of the square roots of a, which is not defined if a may be negative."""
     return hull([np.sqrt(a.low), np.sqrt(a.high)], a, defined=a.low >= 0.0)
 
 
 def exponential(a: Interval) -> Interval:
-    """exp a, which is positive even where it underflows."""
+    """Return the interval of exp a; its lower end is positive even where the exponential underflows to 0."""
     return hull([np.maximum(np.exp(a.low), SMALLEST), np.exp(a.high)], a)
 
 
 def logarithm(a: Interval) -> Interval:
-    """log a, undefined at and below 0."""
+    """Return the interval of log a, which is not defined if a may be 0 or negative."""
     return hull([np.log(a.low), np.log(a.high)], a, defined=a.low > 0.0)
 
 
 def range_of_sine(function: Callable[[np.ndarray], np.ndarray], crest: float, a: Interval) -> Interval:
-    """The range of a sine or cosine over an interval.
+    """Return the range of a sine or cosine over an interval.
 
     Args:
-        function: The sine or cosine. Its maxima 1 are at ``crest`` + 2 pi k, its minima -1 half a turn later.
+        function: The sine or cosine. It has maxima 1 at ``crest`` + 2 pi k, and minima -1 half a turn later.
         crest: Place of a maximum [rad].
-        a: The interval of its argument [rad].
+        a: The interval of the angles [rad].
     """
     first_crest = np.ceil((a.low - crest) / TURN)  # k of the first maximum from the lower end on
     first_trough = np.ceil((a.low - crest - math.pi) / TURN)
@@ -152,27 +152,27 @@ def range_of_sine(function: Callable[[np.ndarray], np.ndarray], crest: float, a:
 
 
 def sine(a: Interval) -> Interval:
-    """The values of sin a."""
+    """Return the interval of sin a, for angles a in rad."""
     return range_of_sine(np.sin, math.pi / 2.0, a)
 
 
 def cosine(a: Interval) -> Interval:
-    """The values of cos a."""
+    """Return the interval of cos a, for angles a in rad."""
     return range_of_sine(np.cos, 0.0, a)
 
 
 def absolute(a: Interval) -> Interval:
-    """The sizes |a|."""
+    """Return an interval that encloses |a|; its lower end may be negative if a has numbers of both signs."""
     return maximum(a, negative(a))
 
 
 def minimum(a: Interval, b: Interval) -> Interval:
-    """The smaller of a and b."""
+    """Return the interval of the smaller of a number in a and a number in b."""
     return Interval(np.minimum(a.low, b.low), np.minimum(a.high, b.high), a.defined & b.defined)
 
 
 def maximum(a: Interval, b: Interval) -> Interval:
-    """The greater of a and b."""
+    """Return the interval of the greater of a number in a and a number in b."""
     return Interval(np.maximum(a.low, b.low), np.maximum(a.high, b.high), a.defined & b.defined)
 
 
@@ -180,8 +180,8 @@ class Range(NamedTuple):
     """The range of a function over a box.
 
     Args:
-        low: A lower bound of its values, near the least one; -inf if there is none.
-        high: An upper bound, near the greatest; inf if there is none.
+        low: A lower bound of the values, near the least value; -inf if there is none.
+        high: An upper bound of the values, near the greatest value; inf if there is none.
         undefined: A point near which the function may have no value, with a coordinate for each side of the box; None
             if the function has a value everywhere.
     """
@@ -195,10 +195,10 @@ def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
     """Bound the values of a function over a box.
 
     Interval arithmetic encloses the values over each part of the box. Parts whose enclosure exceeds the values found so
-    far by more than a tolerance are halved.
+    far by more than a tolerance are halved, until no such part is left or there are too many parts or rounds.
 
     Args:
-        function: Takes an interval for each argument, arrays of any shape.
+        function: The function, which takes an interval for each argument, arrays of any shape.
         sides: Lower and upper end of each argument.
     """
     with np.errstate(all="ignore"):
@@ -236,14 +236,15 @@ def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
 
 
 def infinite_ends(function: Function, sides: Sequence[tuple[float, float]], bounds: Range) -> Range:
-    """Put infinity in place of the ends of a range that are finite only since no side of a box exceeds float64.
+    """Replace the ends of a range that are finite only because :meth:`Interval.of` cuts a box to finite numbers.
 
-    They are those that the function leaves at a corner at infinity, as log x does, and those that are very large.
+    An end is replaced by infinity if the function is infinite at a corner of the uncut box, as log x is at infinity, or
+    if the end is larger than :data:`INFINITE`. A box without infinite sides keeps its range.
 
     Args:
         function: The function.
         sides: Lower and upper end of each argument, which may be infinite.
-        bounds: Its range over the part of the box within float64.
+        bounds: Range of the function over the cut box.
     """
     lower_ends, upper_ends = np.array(sides, float).reshape(-1, 2).T
     if np.all(np.isfinite([lower_ends, upper_ends])):
@@ -258,7 +259,7 @@ def infinite_ends(function: Function, sides: Sequence[tuple[float, float]], boun
 
 
 def intervals(lows: np.ndarray, highs: np.ndarray) -> list[Interval]:
-    """Boxes as intervals, one for each side, of shape (boxes,).
+    """Return boxes as a list of intervals, one for each side, of shape (boxes,) each.
 
     Args:
         lows: Lower ends, shape (boxes, sides).
@@ -268,10 +269,13 @@ def intervals(lows: np.ndarray, highs: np.ndarray) -> list[Interval]:
 
 
 def corner_points(box: Interval) -> np.ndarray:
-    """The corners of one box, shape (corners, sides).
+    """Return the corners of one box, shape (corners, sides).
 
-    A box with more than :data:`MOST_CORNERS` sides has too many corners. Only two of them are taken then: the corner of
-    all lower ends and the corner of all upper ends.
+    A box with more than :data:`MOST_CORNERS` sides has too many corners. The result then has only two of them: the
+    corner of all lower ends and the corner of all upper ends.
+
+    Args:
+        box: The box, whose ends have shape (1, sides).
     """
     (lower_ends,) = box.low
     (upper_ends,) = box.high
@@ -283,9 +287,9 @@ def corner_points(box: Interval) -> np.ndarray:
 
 
 def values_at(function: Function, points: np.ndarray) -> tuple[float, float]:
-    """The least and the greatest value of a function at some points.
+    """Return the least and the greatest value of a function at some points.
 
-    Points where the function has no value do not count; if it has none anywhere, the result is (inf, -inf).
+    Points where the function has no value do not count. If it has a value at no point, the result is (inf, -inf).
 
     Args:
         function: The function.
@@ -304,7 +308,7 @@ def halve(lows: np.ndarray, highs: np.ndarray, widths: np.ndarray) -> tuple[np.n
     Args:
         lows: Lower ends, shape (boxes, sides).
         highs: Upper ends, the same shape.
-        widths: Widths of the whole box, relative to which sides are compared, shape (sides,).
+        widths: Widths of the whole box, shape (sides,). The longest side is the longest one relative to these.
 
     Returns:
         Lower and upper ends of the halves, shape (2 boxes, sides).

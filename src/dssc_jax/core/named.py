@@ -19,7 +19,7 @@ Item = TypeVar("Item")
 
 @jax.tree_util.register_static
 class Text(str):
-    """A unit or a meaning among a model's parameters, which JAX takes for structure and not for a leaf."""
+    """A unit or a meaning among a model's parameters; for JAX it is part of the tree's structure and not a leaf."""
 
     __slots__ = ()
 
@@ -31,7 +31,7 @@ class NamedSignal(NamedTuple):
         name: Name in the study and in results.
         unit: Unit; empty: none is declared.
         meaning: Meaning in words; empty: none is declared.
-        periodic: Whether it is an angle that begins again after a turn.
+        periodic: Whether the signal is an angle that begins again after a turn.
     """
 
     name: str
@@ -41,12 +41,12 @@ class NamedSignal(NamedTuple):
 
     @classmethod
     def of(cls, name: str, quantity: Quantity) -> "NamedSignal":
-        """The signal with this name, and with the unit and meaning of a quantity."""
+        """Return the signal with this name, and with the unit and meaning of a quantity."""
         return cls(name, quantity.unit, quantity.meaning, quantity.periodic)
 
     @property
     def quantity(self) -> Quantity:
-        """Unit and meaning of the signal; its name stands for a meaning that is not declared."""
+        """Unit and meaning of the signal as a quantity; the name stands for the meaning if none is declared."""
         return Quantity(self.unit, self.meaning or self.name, periodic=self.periodic)
 
 
@@ -58,7 +58,11 @@ SEPARATOR = "__"
 
 
 def require_signal_name(name: str) -> None:
-    """Require that a name is a valid field of a report: an identifier without ``__``; raises ConfigError."""
+    """Require that a name is a valid field of a report: an identifier without ``__``, and no word of Python.
+
+    Raises:
+        ConfigError: The name is not valid.
+    """
     if not SIGNAL_NAME.fullmatch(name):
         raise ConfigError("", "must be named by letters and digits, with single _ between them")
     if iskeyword(name):
@@ -67,9 +71,10 @@ def require_signal_name(name: str) -> None:
 
 @cache
 def report_type(names: tuple[str, ...]) -> type:
-    """The NamedTuple type of what a plant reports, with a field for each signal.
+    """Return the NamedTuple type of what a plant reports, with a field for each signal.
 
-    The type's name contains the fields, so that :func:`__getattr__` can make the type again in another process.
+    The type's name contains the names of the fields, so that :func:`__getattr__` can make the type again in another
+    process.
     """
     return namedtuple(SEPARATOR.join((REPORT, *names)), names, module=__name__)  # type: ignore[return-value]
 
@@ -87,10 +92,13 @@ def __getattr__(name: str) -> type:
 
 
 def signals_in(info: Info) -> dict[str, Any]:
-    """The signals of an info by name.
+    """Return the scalar signals of an info by name.
 
-    A field that is itself an info, with declared quantities, is replaced by its fields. A vector is replaced by its
-    components, such as ``wind_x``, and a tuple by its numbered elements, such as ``rotor_1``. Empty tuples vanish.
+    A field that is itself an info, with declared quantities, is replaced by that info's fields. A vector is replaced by
+    its components, such as ``wind_x``, and a tuple by its numbered elements, such as ``rotor_1``. Empty tuples vanish.
+
+    Args:
+        info: A NamedTuple, or an empty tuple.
     """
     signals = {}
     for name, value in zip(getattr(info, "_fields", ()), info, strict=True):
@@ -102,7 +110,7 @@ def signals_in(info: Info) -> dict[str, Any]:
 
 
 def components_of(name: str, value: Any) -> dict[str, Any]:
-    """The numbers of a signal by name: a scalar, the components ``wind_x``, ... of a vector, or numbered elements.
+    """Return the numbers of a signal by name: a scalar, the components ``wind_x``, ... of a vector, or elements.
 
     Args:
         name: Name of the signal.
@@ -118,7 +126,7 @@ def components_of(name: str, value: Any) -> dict[str, Any]:
 
 
 def quantity_of(name: str, quantities: Mapping[str, Quantity]) -> Quantity | None:
-    """The declared quantity of a signal, or of the vector of which it is a component; None if neither is declared.
+    """Return the declared quantity of a signal, or of the vector of which it is a component; None if there is none.
 
     Args:
         name: Name of the signal, such as ``wind_x``.
@@ -135,5 +143,5 @@ def quantity_of(name: str, quantities: Mapping[str, Quantity]) -> Quantity | Non
 
 
 def by_names(items: Mapping[str, Item] | None) -> list[tuple[str, Item]]:
-    """Pairs of name and item, sorted by name, which is JAX's order of a mapping's leaves; empty for None."""
+    """Return the pairs of name and item sorted by name, as JAX orders the leaves of a mapping; [] for None."""
     return sorted((items or {}).items())

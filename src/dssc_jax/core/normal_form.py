@@ -21,7 +21,13 @@ VANISHING = 1e-9
 
 
 class RealisedSystem(NamedTuple):
-    """A linear system x' = A x + b u, y = c x in plain numbers: A row by row, b and c as tuples of length n."""
+    """A linear system x' = A x + b u, y = c x in plain numbers.
+
+    Args:
+        a: A, row by row, shape (n, n) [1/s].
+        b: Input column, shape (n,).
+        c: Output row, shape (n,).
+    """
 
     a: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]
@@ -34,9 +40,10 @@ class NormalForm(NamedTuple):
     Args:
         relative_degree: Order of the first derivative of the output that depends on the command.
         gain: Gain from the command to that derivative.
-        zeros: Zeros [rad/s].
+        zeros: Zeros of the transfer function [rad/s].
         damping: a_p [1/s]; NaN unless the relative degree is two.
-        stiffness: D(0)/N(0) [1/s^2], a part of the disturbance; NaN unless the relative degree is two.
+        stiffness: D(0)/N(0) [1/s^2], a part of the disturbance; NaN unless the relative degree is two, or if a zero is
+            at the origin.
         zero_a: Characteristic coefficients of the zero dynamics, rising powers, without the leading 1.
         zero_c: Output row of the zero dynamics, driven by y'.
     """
@@ -56,7 +63,7 @@ class NormalForm(NamedTuple):
 
     @property
     def obstacle(self) -> str:
-        """The reason why the plant is not of the class (5)-(8); empty if it is."""
+        """The reason why the plant is not of the class (5)-(8), in words; empty if the plant is of this class."""
         if self.relative_degree != 2:
             return f"the plant has relative degree {self.relative_degree}, not two as (5)-(8)"
         if not self.minimum_phase:
@@ -70,10 +77,10 @@ class NormalForm(NamedTuple):
 
 
 def relative_degree(system: RealisedSystem) -> int | None:
-    """The order of the first derivative of the output that depends on the command.
+    """Return the relative degree: the order of the first derivative of the output that depends on the command.
 
-    It is the smallest r with c A^(r-1) b not zero, where a product counts as zero if it is as small as the rounding
-    errors of its terms. None: the command does not reach the output.
+    It is the smallest r with c A^(r-1) b not zero. A product counts as zero if it is at most :data:`VANISHING` times
+    the sum of the sizes of its terms. The result is None if the command does not reach the output.
     """
     a = np.array(system.a)
     row = np.array(system.c)  # c A^(r-1)
@@ -86,11 +93,11 @@ def relative_degree(system: RealisedSystem) -> int | None:
 
 
 def transfer_function(system: RealisedSystem) -> tuple[np.ndarray, np.ndarray]:
-    """Numerator and monic denominator of a linear system, coefficients from the highest power down.
+    """Return the numerator and the monic denominator of a linear system, coefficients from the highest power down.
 
     The denominator is the characteristic polynomial chi of A. The numerator, without leading zeros, is the convolution
-    of chi with the Markov parameters c A^k b. It is more exact than the difference of two determinants, whose leading
-    digits cancel.
+    of chi with the Markov parameters c A^k b. This way is more exact than the difference of two determinants, whose
+    leading digits cancel.
 
     Raises:
         ValueError: The command does not reach the output.
@@ -110,7 +117,7 @@ def transfer_function(system: RealisedSystem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def normal_form(numerator: np.ndarray, denominator: np.ndarray) -> NormalForm:
-    """The normal form of a strictly proper transfer function, by the division of the module's first lines.
+    """Return the normal form of a strictly proper transfer function, by the division at the top of this module.
 
     Args:
         numerator: Coefficients, highest power first, shape (m + 1,), the first not zero.
@@ -147,5 +154,5 @@ def normal_form(numerator: np.ndarray, denominator: np.ndarray) -> NormalForm:
 
 
 def rising_powers(coefficients: np.ndarray) -> tuple[float, ...]:
-    """Coefficients in rising powers, from coefficients that begin with the highest power."""
+    """Return coefficients in rising powers, given coefficients that begin with the highest power."""
     return tuple(float(coefficient) for coefficient in reversed(coefficients))

@@ -23,27 +23,27 @@ LOG_2 = math.log(2.0)
 
 @contextmanager
 def arithmetic(precision: int = 64) -> Iterator[None]:
-    """Set JAX's precision, 32 or 64 bits, and silence NumPy's floating-point warnings.
+    """Set JAX's precision, 32 or 64 bits, and silence NumPy's floating-point warnings within a ``with`` block.
 
-    An overflow is no fault of the program: the draw ends early.
+    The warnings are silenced because an overflow is no fault of the program: the draw that diverges ends early.
     """
     with jax.enable_x64(precision == 64), np.errstate(all="ignore"):
         yield
 
 
 def namespace(*values: object) -> ModuleType:
-    """The module to compute with: ``jax.numpy`` if a value is an array of JAX, else NumPy.
+    """Return the module to compute with: ``jax.numpy`` if one of the values is an array of JAX, else NumPy.
 
-    NumPy computes in float64 whatever the precision of JAX.
+    NumPy computes in float64 whatever JAX's precision is.
     """
     return jnp if any(isinstance(value, jax.Array) for value in values) else np
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def root_abs(x: Scalar, floor: float = 0.0) -> Scalar:
-    """The root r = |x|^(1/2), or ``floor`` if that is larger, with gradient 0 at x = 0.
+    """Return the root r = |x|^(1/2), or ``floor`` if ``floor`` is larger, with gradient 0 at x = 0.
 
-    There the slope of the root is infinite, and would make derivatives NaN.
+    The true slope at 0 is infinite, and would make derivatives NaN.
     """
     magnitude = jnp.abs(x)
     return jnp.sqrt(jnp.maximum(magnitude, floor**2) if floor else magnitude)
@@ -51,7 +51,7 @@ def root_abs(x: Scalar, floor: float = 0.0) -> Scalar:
 
 @root_abs.defjvp
 def root_abs_slope(floor: float, at: tuple[Scalar], tangent: tuple[Scalar]) -> tuple[Scalar, Scalar]:
-    """The JVP of :func:`root_abs`: the slope is sgn(x)/(2 r) where |x| > floor^2, else 0."""
+    """Return the JVP of :func:`root_abs`: value and tangent, with the slope sgn(x)/(2 r) for |x| > floor^2, else 0."""
     (x,) = at
     (x_dot,) = tangent
     is_steep = jnp.abs(x) > floor**2
@@ -60,9 +60,9 @@ def root_abs_slope(floor: float, at: tuple[Scalar], tangent: tuple[Scalar]) -> t
 
 
 def binary_exponent(x: Scalar) -> tuple[Scalar, Scalar]:
-    """The whole number k with 2^-k x in [2^(-1/2), 2^(1/2)), and 2^-k, for x >= 1.
+    """Return the whole number k with 2^-k x in [2^(-1/2), 2^(1/2)), and 2^-k, for x >= 1.
 
-    Both are read from the bits of x, because this vectorises.
+    Both numbers are computed from the bits of x, in arithmetic that vectorises. Their derivative is 0.
     """
     x = jax.lax.stop_gradient(jnp.asarray(x))
     is_double = x.dtype == jnp.float64
@@ -78,10 +78,10 @@ def binary_exponent(x: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def log_defect(x: Scalar) -> Scalar:
-    """(x - ln(1 + x))/x^2 for x >= 0, whose singularity at 0 is removable: the limit is 1/2.
+    """Return (x - ln(1 + x))/x^2 for x >= 0, whose singularity at 0 is removable: the limit is 1/2.
 
-    With 1 + x = 2^k (1 + f) and s = f/(2 + f), ln(1 + x) = k ln 2 + 2 s + s^3 q(s^2). If k = 0, f is x, and
-    x - 2 s = x s: then the quotient is (2 + x - s q)/(2 + x)^2, in which nothing cancels.
+    With 1 + x = 2^k (1 + f) and s = f/(2 + f), ln(1 + x) is k ln 2 + 2 s + s^3 q(s^2). If k = 0, then f = x and
+    x - 2 s = x s, so the quotient is (2 + x - s q)/(2 + x)^2, in which nothing cancels.
 
     The polynomial q is that of FreeBSD's e_log.c (Sun Microsystems, 1993).
     """
@@ -96,7 +96,7 @@ def log_defect(x: Scalar) -> Scalar:
 
 
 def root_of(excess: Scalar, slope: Scalar) -> Scalar:
-    """The non-negative root s of s^2 + slope s = excess if excess > 0; 0 otherwise."""
+    """Return the positive root s of s^2 + slope s = excess if excess > 0, else 0."""
     is_positive = excess > 0.0
     positive_excess = jnp.where(is_positive, excess, 1.0)
     # 2 c/(b + sqrt(b^2 + 4 c)): the difference of the textbook form cancels for small excess
@@ -106,21 +106,21 @@ def root_of(excess: Scalar, slope: Scalar) -> Scalar:
 
 
 def sign(x: Scalar) -> Scalar:
-    """sgn x with sgn 0 = 0."""
+    """Return sgn x: -1, 0 or 1, with sgn 0 = 0."""
     return jnp.sign(x)
 
 
 def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
-    """The value in [low, high] that is nearest to x. A NaN stays NaN; a bound that is NaN does not bind.
+    """Return the value in [low, high] that is nearest to x. A NaN x stays NaN; a NaN bound has no effect.
 
-    So each bound costs one machine instruction. With ``jnp.clip``, where a NaN bound gives NaN, it costs three.
+    With this rule each bound costs one machine instruction. In ``jnp.clip`` a NaN bound gives NaN, which costs three.
     """
     x = jnp.where(low > x, low, x)
     return jnp.where(high < x, high, x)
 
 
 def as_vector(tree: Tree) -> tuple[jax.Array, Callable[[jax.Array], Tree]]:
-    """The numbers of a tree as one vector, and the function that makes such a tree from a vector."""
+    """Return the numbers of a tree as one vector, shape (n,), and the function that makes such a tree from a vector."""
     return ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree))
 
 
@@ -138,32 +138,32 @@ def is_word(x: Scalar) -> bool:
 
 
 def is_zero(value: Scalar) -> bool:
-    """Whether a value is a constant 0, so that the program can do without it."""
+    """Whether a value is 0 and known before tracing, so that the program can leave out operations on it."""
     return is_known(value) and float(value) == 0.0
 
 
 def is_known(value: Scalar) -> bool:
-    """Whether a value is a constant number and not a traced one."""
+    """Whether a value is a number of Python or NumPy, known before tracing; arrays of JAX are not."""
     return isinstance(value, int | float | np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0)
 
 
 def times(left: Scalar, right: Scalar) -> Scalar:
-    """The product of two numbers; a plain 0.0 if a factor is a constant 0, so that the program has no operation."""
+    """Return the product of two numbers; a plain 0.0, without an operation, if a factor is 0 before tracing."""
     return 0.0 if is_zero(left) or is_zero(right) else left * right
 
 
 def difference(minuend: Scalar, subtrahend: Scalar) -> Scalar:
-    """The difference of two numbers; the minuend itself if the subtrahend is a constant 0."""
+    """Return the difference of two numbers; the minuend itself if the subtrahend is 0 before tracing."""
     return minuend if is_zero(subtrahend) else minuend - subtrahend
 
 
 def at_least(x: Scalar, low: float) -> Scalar:
-    """The larger of x and low; a Python float if x is a Python float, so that constants stay constants."""
+    """Return the larger of x and low; for a Python float x, a Python float, so that constants stay constants."""
     return max(x, low) if isinstance(x, float) else jnp.maximum(x, low)
 
 
 def saturate(x: Scalar, limit: Scalar) -> Scalar:
-    """The value in [-limit, limit] that is nearest to x; see :func:`clip`."""
+    """Return the value in [-limit, limit] that is nearest to x; for NaN see :func:`clip`."""
     return clip(x, -limit, limit)
 
 
@@ -175,19 +175,19 @@ def newton(
     start: Scalar,
     steps: int,
 ) -> Scalar:
-    """The x with f(x) = value, after a fixed number of steps of Newton's method.
+    """Solve f(x) = value by a fixed number of steps of Newton's method, and return x.
 
     Args:
-        tangent: ``(parameters, x) -> (f(x), f'(x))``, a function of a module and no closure: each new function object
-            is traced anew.
+        tangent: ``(parameters, x) -> (f(x), f'(x))``. It should be a function of a module and no closure, because each
+            new function object is traced anew.
         parameters: Parameters of f.
-        value: The value that f is to have.
+        value: The value of f at the solution.
         start: First x.
         steps: Number of steps.
     """
 
     def newton_step(_: int, x: Scalar) -> Scalar:
-        """The zero of the tangent of f(x) - value at x."""
+        """Return the zero of the tangent that f(x) - value has at x."""
         f, slope = tangent(parameters, x)
         return x + (value - f) / slope
 
@@ -195,24 +195,29 @@ def newton(
 
 
 def turned_near(angle: Scalar, target: Scalar) -> Scalar:
-    """The angle plus the whole turns that bring its difference from a target into (-pi, pi] [rad].
+    """Return the angle [rad] plus the whole turns that bring its difference from a target into (-pi, pi].
 
-    An angle that needs no turn keeps its bits.
+    An angle that needs no turn is returned with the same bits.
     """
     return angle - 2.0 * math.pi * jnp.ceil((angle - target - math.pi) / (2.0 * math.pi))
 
 
 def wrap_angle(angle: Scalar) -> Scalar:
-    """The same angle in (-pi, pi] [rad]."""
+    """Return the same angle in (-pi, pi] [rad]."""
     return turned_near(angle, 0.0)
 
 
 @jax.custom_jvp
 def elapsed_share(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
-    """Share in [0, 1] of the sample [t, t + dt) that lies after the time ``at`` [s].
+    """Return the share in [0, 1] of the sample [t, t + dt) that lies after the time ``at`` [s].
 
-    A held signal that begins within the sample acts with its mean, which is its value times this share. At the start of
-    a sample the derivative is one-sided: that for a later ``at``.
+    A held signal that begins within the sample acts with its mean, which is its value times this share. If ``at`` is
+    the start of a sample, the derivative is one-sided: the one for a later ``at``.
+
+    Args:
+        at: The time [s].
+        t: Start of the sample [s].
+        dt: Length of the sample [s].
     """
     return jnp.clip((t + dt - at) / dt, 0.0, 1.0)
 
@@ -221,10 +226,10 @@ def elapsed_share(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
 def elapsed_share_slope(
     point: tuple[Scalar, Scalar, Scalar], tangents: tuple[Scalar, Scalar, Scalar]
 ) -> tuple[Scalar, Scalar]:
-    """The JVP of :func:`elapsed_share`: the slope of the quotient where the share is in (0, 1], else 0.
+    """Return the JVP of :func:`elapsed_share`: value and tangent, with a slope where the share is in (0, 1].
 
-    The ends 0 and 1 are told up to the rounding of the times, so that exactly one of two consecutive samples has a
-    slope.
+    The comparisons with 0 and 1 allow for the rounding of the times, so that exactly one of two consecutive samples has
+    a slope if ``at`` is the time between them.
     """
     at, t, dt = point
     share, slope = jax.jvp(lambda at, t, dt: (t + dt - at) / dt, point, tangents)
@@ -234,15 +239,18 @@ def elapsed_share_slope(
 
 
 def delay_weights(samples: Scalar, count: int) -> list[Scalar]:
-    """Weights of the last signals in the mean of a delayed signal over a sample, the present signal first.
+    """Return the weights of the last held signals in the mean of a delayed signal over a sample.
 
-    With a delay of n + f samples, 0 <= f < 1, the signal n samples ago has 1 - f, the signal before it has f, and all
-    others have 0. At a whole number of samples the derivative is one-sided: that for a longer delay, and at the longest
-    delay that for a shorter one.
+    With a delay of n + f samples, 0 <= f < 1, the signal n samples ago has the weight 1 - f, the signal before it f,
+    and all others 0. If the delay is a whole number of samples, the derivative is one-sided: the one for a longer delay
+    or, at the longest delay, for a shorter one.
 
     Args:
         samples: The delay in samples, from 0 to count - 1.
-        count: Number of signals in memory, the present one first; at least 2.
+        count: Number of signals in memory; at least 2.
+
+    Returns:
+        ``count`` weights, that of the present signal first.
     """
     whole = jnp.minimum(jnp.floor(samples), count - 2.0)  # n
     weights = []
@@ -253,17 +261,17 @@ def delay_weights(samples: Scalar, count: int) -> list[Scalar]:
 
 
 def stream(name: str) -> int:
-    """The index of a random stream, from the name of the number or part that draws from it.
+    """Return the index of a random stream, computed from the name of the number or part that draws from the stream.
 
-    So the draws of a number do not change when other numbers are added.
+    Because the index depends on the name alone, the draws of a number do not change when other numbers are added.
     """
     return zlib.crc32(name.encode())
 
 
 def dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
-    """The scalar product of two tuples, term by term, because scalars compile to scalar arithmetic.
+    """Return the scalar product of two tuples, computed term by term, because scalars compile to scalar arithmetic.
 
-    A term whose left factor is a constant 0 is omitted, and a constant 1 as left factor is not multiplied.
+    A term whose left factor is the Python float 0.0 is omitted; a left factor 1.0 costs no multiplication.
     """
     total: Scalar = 0.0
     for a, b in zip(left, right, strict=True):
@@ -274,10 +282,10 @@ def dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
 
 
 def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
-    """The sum of c_i B(x - i), where B is the cubic B-spline with support (-2, 2) and knots at the whole numbers.
+    """Return the sum of c_i B(x - i), where B is the cubic B-spline with support (-2, 2) and knots at whole numbers.
 
-    Its value lies between the smallest and the largest of (0, c_0, c_1, ..., 0), and its slope between the smallest
-    and the largest difference of two consecutive coefficients.
+    The sum lies between the smallest and the largest of (0, c_0, c_1, ..., 0). Its slope lies between the smallest and
+    the largest difference of two consecutive numbers of this sequence.
 
     Reference:
         C. de Boor, A Practical Guide to Splines, revised ed. (2001), chapters IX to XI.
@@ -292,7 +300,7 @@ def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
 
 
 def spline_end(at: float, interval: float, knots: int) -> float:
-    """Return the time at which a cubic spline is 0 again: two intervals after its last knot.
+    """Return the time [s] at which a cubic spline is 0 again: two intervals after the last knot.
 
     Args:
         at: Time of the first knot [s].
@@ -303,13 +311,13 @@ def spline_end(at: float, interval: float, knots: int) -> float:
 
 
 def uniforms(key: jax.Array, count: int) -> tuple[Scalar, ...]:
-    """Independent random numbers, uniform in [0, 1).
+    """Return independent random numbers, uniform in [0, 1).
 
-    In float32 they have the leading bits of the numbers in float64. So the precision of a study does not change its
+    In float32 the numbers have the leading bits of those in float64. So the precision of a study does not change its
     draws, as it would with ``jax.random.uniform``.
 
-    The numbers are scalars, each from the key folded with its index. So a batch is vectorised along its lanes; an array
-    of all numbers would be vectorised along its short last axis.
+    The numbers are scalars, each drawn from the key folded with the number's index. So a batch is vectorised along its
+    lanes; an array of all numbers would be vectorised along its short last axis.
 
     Args:
         key: Random key.
@@ -318,7 +326,7 @@ def uniforms(key: jax.Array, count: int) -> tuple[Scalar, ...]:
     real = jnp.result_type(float)
 
     def uniform(i: int) -> Scalar:
-        """Random number i: random bits as the fraction of a number in [1, 2), less 1."""
+        """Return random number i: random bits as the fraction of a number in [1, 2), minus 1."""
         high, low = jax.random.key_data(jax.random.fold_in(key, i))
         if real == jnp.float64:
             fraction = (high.astype(jnp.uint64) << 32 | low) >> 12 | np.uint64(0x3FF << 52)
@@ -330,9 +338,9 @@ def uniforms(key: jax.Array, count: int) -> tuple[Scalar, ...]:
 
 
 def standard_normals(key: jax.Array, count: int) -> tuple[Scalar, ...]:
-    """Independent standard normal random numbers, from :func:`uniforms`.
+    """Return independent standard normal random numbers, computed from :func:`uniforms`.
 
-    In float64 they equal ``jax.random.normal(key, (count,))``; in float32 they are the same numbers up to rounding.
+    In float64 the result equals ``jax.random.normal(key, (count,))``; in float32 it equals the same up to rounding.
 
     Args:
         key: Random key.
@@ -342,12 +350,12 @@ def standard_normals(key: jax.Array, count: int) -> tuple[Scalar, ...]:
     lowest = np.nextafter(np.array(-1.0, real), np.array(0.0, real))  # the smallest number above -1
 
     def standard_normal(uniform: Scalar) -> Scalar:
-        """sqrt 2 erf^-1(v) for v uniform in (-1, 1)."""
+        """Return sqrt 2 erf^-1(v) for v uniform in (-1, 1), given a number uniform in [0, 1)."""
         return np.sqrt(2.0).astype(real) * jax.lax.erf_inv(jnp.maximum(lowest, uniform * (1.0 - lowest) + lowest))
 
     return tuple(map(standard_normal, uniforms(key, count)))
 
 
 def standard_normal(key: jax.Array) -> Scalar:
-    """A standard normal random number; the first of :func:`standard_normals`."""
+    """Return one standard normal random number, the first of :func:`standard_normals`."""
     return standard_normals(key, 1)[0]

@@ -1,4 +1,4 @@
-"""Software on board of a plant: sampled faster than the loop, held between its own samples."""
+"""Software on board of a plant: it is sampled faster than the loop, and its results are held between its samples."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -13,15 +13,16 @@ WHOLE = 1e-9
 
 
 def no_strings(params: Params) -> tuple[str, ...]:
-    """The default of fields that list sentences or names: none, whatever the parameters."""
+    """Return an empty tuple for all parameters: the default of fields that list sentences or names."""
     return ()
 
 
 class Onboard(NamedTuple):
     """Sampled software that is part of a plant, such as the inner loops of an autopilot.
 
-    Its results are part of the plant's state, and ``derivative`` leaves them constant. At a sample of the loop
-    ``sample`` runs first, then ``tick``; ``tick`` alone runs at the other instants, which divide the sample evenly.
+    The results of the software are part of the plant's state, and ``derivative`` leaves them constant. At a sample of
+    the loop, ``sample`` runs first, then ``tick``. Between two samples, ``tick`` alone runs at instants that divide the
+    sample evenly.
 
     Args:
         period: ``(params) -> time between two ticks [s]``; None: these parameters choose no sampled software.
@@ -32,16 +33,16 @@ class Onboard(NamedTuple):
         sample: ``(params, state, input, dt) -> state`` at each sample of the loop, of length dt.
         tick: ``(params, state, dt) -> state`` at each tick, dt apart.
         frequency: Name of the plant's number that gives the period, dotted, for messages.
-        outputs: ``(params) -> sentences`` for the generated documentation: what the results of the software drive.
+        outputs: ``(params) -> sentences`` for the generated documentation, which say what the results drive.
         directions: Fields of the state that are vectors of length 1, such as a unit quaternion.
         integrals: ``(params) -> names`` of the plant's numbers, dotted, that are the start values of integrals.
-        settled: ``(params) -> bool``: whether the integrals start in the equilibrium of the draw, to which these
-            numbers are added.
+        settled: ``(params) -> bool``: whether the integrals start in the equilibrium of the draw, to which the start
+            values of ``integrals`` are added.
         drives: Field of ``held`` with the numbers that drive the actuators.
         tunable: Fields of the plant's parameters whose numbers the generated C may change in flight.
         taken_over: ``(params, state, driven, dt) -> (held, feasible)`` for a handover in steady motion, with samples dt
-            apart: the ``held`` from which the software goes on driving the actuators with the numbers ``driven``, and
-            whether its limits allow this. None: no handover is possible.
+            apart [s]: the ``held`` with which the software continues to drive the actuators by the numbers ``driven``,
+            and whether the limits of the software allow this. None: no handover is possible.
     """
 
     period: Callable[[Params], float | None]
@@ -68,7 +69,7 @@ class Onboard(NamedTuple):
             substeps: Integrator steps in a sample.
 
         Raises:
-            ConfigError: One of the two does not hold.
+            ConfigError: The sample or a tick has no such whole number.
         """
         period = self.period(params)
         if period is None:
@@ -80,7 +81,7 @@ class Onboard(NamedTuple):
 
 
 def ticks_in_sample(period: float, sample_time: float, substeps: int) -> int:
-    """Number of ticks in a sample of the loop.
+    """Return the number of ticks in a sample of the loop.
 
     Args:
         period: Time between two ticks [s].

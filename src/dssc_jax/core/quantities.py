@@ -10,22 +10,22 @@ class Quantity:
 
     Args:
         unit: SI unit, in which ``y`` and ``u`` stand for the units of the plant's output and command
-            (:mod:`dssc_jax.core.units`); ``"1"``: dimensionless. Several with commas between them are those of the
-            elements of a list, of which the last one is that of all further elements.
+            (:mod:`dssc_jax.core.units`); ``"1"``: dimensionless. For a list of numbers, units with commas between them
+            are the units of the first elements, and the last unit is that of all further elements.
         meaning: The standard term, with the article's symbol.
         above: Exclusive lower bound.
         at_least: Inclusive lower bound.
         below: Exclusive upper bound.
         at_most: Inclusive upper bound.
         law: Whether a probability law may replace the number.
-        data: Whether it is one of many values of a record, which have no names in the study.
-        leading: Whether it is among the few numbers for which an exploration shows sliders at first.
-        begins: Whether it is the time at which an effect begins: after the end of the loop it would have no effect.
-        ends: Whether it is the time at which an effect ends.
-        periodic: Whether it is an angle that begins again after a turn.
-        whole: Whether it is a whole number, whose law is a choice of whole numbers.
-        less_than: Name of the number of the same part below which it must lie, for all values of their laws; None: of
-            none.
+        data: Whether the number is one of many values of a record, which have no names in the study.
+        leading: Whether the number is among the few for which an exploration shows sliders at first.
+        begins: Whether the number is the time at which an effect begins; after the end of the loop it has no effect.
+        ends: Whether the number is the time at which an effect ends.
+        periodic: Whether the number is an angle that begins again after a turn.
+        whole: Whether the number is a whole one, whose law is a choice of whole numbers.
+        less_than: Name of another number of the same part. This number must lie below that one for all values of their
+            laws. None: there is no such number.
     """
 
     unit: str
@@ -44,12 +44,15 @@ class Quantity:
     less_than: str | None = None
 
     def element(self, index: int) -> "Quantity":
-        """The quantity of an element of a list of numbers, with the unit of that element."""
+        """Return the quantity of the element at an index of a list of numbers, with the unit of that element."""
         units = self.unit.split(", ")
         return self if len(units) == 1 else replace(self, unit=units[min(index, len(units) - 1)])
 
     def violated_by(self, low: float, high: float) -> str | None:
-        """The rule that the values in [low, high] violate, such as ``must be > 0``; None if they violate none."""
+        """Return the first rule that some value in [low, high] violates, such as ``must be > 0``; None if none does.
+
+        A NaN violates every bound.
+        """
         if self.above is not None and not low > self.above:
             return f"must be > {self.above:g}"
         if self.at_least is not None and not low >= self.at_least:
@@ -76,12 +79,12 @@ class Quantity:
 
 
 def unit_and_meaning(unit: str, meaning: str) -> dict[str, str]:
-    """Unit and meaning as attributes of a variable of a dataset, by the names of the CF conventions."""
+    """Return unit and meaning as attributes of a dataset's variable, under the names of the CF conventions."""
     return {"units": unit, "long_name": meaning}
 
 
 def quantities_of(kind: type | None) -> dict[str, Quantity]:
-    """The quantities that the fields of a NamedTuple type declare, by field.
+    """Return the quantity that each field of a NamedTuple type declares, by the field's name.
 
     Args:
         kind: The type, whose fields are annotated with a :class:`Quantity`; None: no type, so no quantities.
@@ -97,11 +100,11 @@ def quantities_of(kind: type | None) -> dict[str, Quantity]:
 
 
 def extent(value: Any) -> tuple[float, float]:
-    """Lowest and highest value of a parameter, a law or a number; for a number both are the number itself."""
+    """Return the lowest and the highest value of a parameter: the support of a law, or a number twice."""
     support = getattr(value, "support", None)
     return support if support is not None else (float(value), float(value))
 
 
 def nominal(value: Any) -> float:
-    """Nominal value of a parameter: the law's nominal value, or the number itself."""
+    """Return the nominal value of a parameter: that of a law, or the number itself."""
     return float(getattr(value, "nominal", value))

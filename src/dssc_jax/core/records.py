@@ -32,11 +32,11 @@ class Pieces(NamedTuple):
 
 
 class HeldRecord(NamedTuple):
-    """A record whose values are held, with their integrals, so that its mean over an interval costs two searches.
+    """A record whose values are held, with integrals that give its mean over an interval by two searches.
 
     Args:
         pieces: The values as pieces of degree 0.
-        integrals: Integral from the first time to each time [s times the unit of the values], shape (n,).
+        integrals: Integral of the record from its first time to each time [s times the unit of the values], shape (n,).
     """
 
     pieces: Pieces
@@ -52,10 +52,10 @@ class Interpolation(StrEnum):
 
 
 def held_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Coefficients of values that are held until the next time, rising powers, shape (n - 1, 4).
+    """Return the coefficients of values that are held until the next time, in rising powers, shape (n - 1, 4).
 
     Args:
-        time: Times [s], shape (n,).
+        time: Times [s], shape (n,); without effect, since all rules of interpolation have the same arguments.
         value: Values, shape (n,).
     """
     constants = value[:-1, None]
@@ -63,15 +63,24 @@ def held_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def line_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Coefficients of straight lines through the values, rising powers, shape (n - 1, 4); as :func:`held_pieces`."""
+    """Return the coefficients of the straight lines through the values, in rising powers, shape (n - 1, 4).
+
+    Args:
+        time: Times [s], shape (n,).
+        value: Values, shape (n,).
+    """
     slope = np.diff(value) / np.diff(time)
     return np.pad(np.column_stack([value[:-1], slope]), ((0, 0), (0, 2)))
 
 
 def spline_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Coefficients of the natural cubic spline, rising powers, shape (n - 1, 4); as :func:`held_pieces`.
+    """Return the coefficients of the natural cubic spline through the values, in rising powers, shape (n - 1, 4).
 
-    Its first two derivatives are continuous.
+    The spline's first two derivatives are continuous, and its second derivative is 0 at both ends.
+
+    Args:
+        time: Times [s], shape (n,).
+        value: Values, shape (n,).
     """
     falling_powers = CubicSpline(time, value, bc_type="natural").c  # shape (4, n - 1)
     return falling_powers[::-1].T
@@ -81,10 +90,10 @@ RULES = {Interpolation.HOLD: held_pieces, Interpolation.LINEAR: line_pieces, Int
 
 
 def check_record(time: Values, value: Values) -> None:
-    """Require at least two values, one for each time, at rising times.
+    """Require from 2 to :data:`MOST_VALUES` values, one for each time [s], at rising times.
 
     Raises:
-        ConfigError: There are too few or too many, or a time is not above the time before it.
+        ConfigError: The number of values is another one, or a time is not above the time before it.
     """
     count = len(time)
     if len(value) != count:
@@ -99,7 +108,7 @@ def check_record(time: Values, value: Values) -> None:
 
 
 def cubic_pieces(time: Values, value: Values, rule: Interpolation) -> Pieces:
-    """The piecewise cubic through a record; before and after the record it keeps the first and the last value.
+    """Return the piecewise cubic through a record; before and after the record it keeps the first and the last value.
 
     Args:
         time: Times [s].
@@ -107,7 +116,7 @@ def cubic_pieces(time: Values, value: Values, rule: Interpolation) -> Pieces:
         rule: How values between two times are found.
 
     Raises:
-        ConfigError: As for :func:`check_record`.
+        ConfigError: The record is not valid; see :func:`check_record`.
     """
     check_record(time, value)
     times = np.asarray(time, float)
@@ -117,12 +126,12 @@ def cubic_pieces(time: Values, value: Values, rule: Interpolation) -> Pieces:
 
 
 def last_time(pieces: Pieces) -> float:
-    """Return the time from which a record keeps its last value [s]."""
+    """Return the time from which a record keeps its last value [s]: the last recorded time."""
     return float(pieces.begins[-1])
 
 
 def columns_as_pieces(time: Values, columns: dict[str, Values], rule: Interpolation) -> tuple[Pieces, ...]:
-    """The piecewise cubic through each of several columns with the same times.
+    """Return the piecewise cubic through each of several columns with the same times.
 
     Args:
         time: Times [s].
@@ -130,7 +139,7 @@ def columns_as_pieces(time: Values, columns: dict[str, Values], rule: Interpolat
         rule: How values between two times are found.
 
     Raises:
-        ConfigError: As for :func:`check_record`; a column of another length is named.
+        ConfigError: The times are not valid (:func:`check_record`), or a column has another length; its name is told.
     """
     parts = []
     for name, values in columns.items():
@@ -141,15 +150,16 @@ def columns_as_pieces(time: Values, columns: dict[str, Values], rule: Interpolat
 
 
 def held_record(pieces: Pieces) -> HeldRecord:
-    """A record whose values are held, from its pieces of degree 0, with the integrals up to each time."""
+    """Return a record whose values are held, given the values as pieces of degree 0; compute the integrals."""
     areas = np.asarray(pieces.coefficients)[1:-1, 0] * np.diff(np.asarray(pieces.begins))
     return HeldRecord(pieces, np.concatenate([np.zeros(1), np.cumsum(areas)]))
 
 
 def held_mean(record: HeldRecord, t: Scalar, dt: Scalar) -> Scalar:
-    """The mean of a held record over [t, t + dt); the value itself if no other value begins within that time.
+    """Return the mean of a held record over [t, t + dt), exactly the present value if no other one begins in between.
 
-    A value that begins at t or at t + dt up to the rounding error of these times begins within no interval.
+    A value that begins at t or at t + dt, up to the rounding error of these times, does not begin in between: it holds
+    from t on, or not yet.
     """
     t = jnp.asarray(t, jnp.result_type(float))
     begins = jnp.asarray(record.pieces.begins, t.dtype)
@@ -171,9 +181,9 @@ def held_mean(record: HeldRecord, t: Scalar, dt: Scalar) -> Scalar:
 
 
 def piece_at(pieces: Pieces, t: Scalar) -> ReferencePoint:
-    """The value of a piecewise cubic at t [s], with its first two derivatives.
+    """Return the value of a piecewise cubic at t [s], with its first two derivatives.
 
-    The times of samples are k T_s with a rounding error, so a piece begins a few units in the last place early.
+    A piece counts from a few units in the last place before its time, because sample times k T_s have rounding errors.
     """
     t = jnp.asarray(t, jnp.result_type(float))
     begins = jnp.asarray(pieces.begins, t.dtype)

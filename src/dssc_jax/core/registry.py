@@ -1,4 +1,4 @@
-"""Registries of the kinds of model that a study can name, their options, and slots for parts of a model."""
+"""Registries of the kinds of model that a study can name, options of these kinds, and slots for parts of a model."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,13 +12,14 @@ from dssc_jax.core.toml import TomlTable
 class Slot:
     """Annotation of a parameter field whose value is a part: a table in the study with a ``kind`` of ``registry``.
 
-    A part is a ``NamedTuple`` of numbers with methods. Its type determines what the step computes, so no decision
-    depends on traced values.
+    A part is a ``NamedTuple`` of numbers with methods. The type of the part determines what a step computes, so no
+    decision depends on traced values.
 
     Args:
         registry: The admissible kinds.
-        number: The kind of the part if the study gives a number instead of a table; the number is its first field.
-        default: The kind if the table names none; None: ``kind`` is required.
+        number: The kind of the part if the study gives a number instead of a table; the number becomes the part's first
+            field. None: a table is required.
+        default: The kind if the table names none; None: the table must name its ``kind``.
     """
 
     registry: "Registry"
@@ -34,7 +35,7 @@ class Entry(NamedTuple):
         summary: Description in one line, for ``dssc-jax info``.
         option: Name of the option's field, e.g. ``discretisation``; None: there is no option.
         default: The option's value if the table does not give it.
-        base: A table that the study's table overrides.
+        base: A table with values for the fields that the study's table leaves out.
         default_of: ``(table) -> value`` of the option if the default depends on a part in the table; None: the value is
             ``default``.
         example: A small table of the kind, without ``kind``; tests take their cases from it.
@@ -64,7 +65,13 @@ Registry: TypeAlias = dict[str, Entry]
 
 
 def single(model: Any, summary: str, **example: Any) -> Entry:
-    """A registry row of one model without options; ``example`` holds the fields of its example."""
+    """Return the registry row of one model without options.
+
+    Args:
+        model: The model.
+        summary: Description in one line.
+        example: Fields of the row's example table.
+    """
     return Entry({None: model}, summary, example=example)
 
 

@@ -40,7 +40,9 @@ Rows = tuple[Column, ...]
 
 
 class LinearDynamics(NamedTuple):
-    """x' = A x + B (u_p) + E d of a plant whose state x is the list of its state's leaves; the loop holds it exactly.
+    """The linear dynamics x' = A x + B u_p + E d of a plant, which the loop solves exactly over a step.
+
+    The vector x lists the leaves of the plant's state.
 
     Args:
         a: A, row by row, shape (n, n).
@@ -56,7 +58,7 @@ class LinearDynamics(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """A signal over a step, as the straight line that has its mean and its first moment.
+    """A signal over a step, given as the straight line that has the signal's mean and first moment.
 
     Args:
         mean: Mean of the signal over the step.
@@ -68,7 +70,7 @@ class Moments(NamedTuple):
 
 
 class LinearSystem(NamedTuple):
-    """x' = A x + b u, y = c x + d u, with one input and one output; a zero known before tracing is a plain 0.0.
+    """A linear system x' = A x + b u, y = c x + d u; a number that is 0 before tracing is a plain 0.0.
 
     Args:
         a: A, row by row, shape (n, n) [1/s].
@@ -84,19 +86,19 @@ class LinearSystem(NamedTuple):
 
 
 def one_entry(entry: Scalar, place: int, size: int) -> Column:
-    """A row or column of zeros with one other entry."""
+    """Return a row or column of length ``size`` with ``entry`` at index ``place`` and zeros elsewhere."""
     return tuple(entry if i == place else 0.0 for i in range(size))
 
 
 def scale_column(column: Column, factor: Scalar) -> Column:
-    """A column times a number; a product with a constant factor 0 is a plain 0.0."""
+    """Return a column times a number; a product with a factor that is 0 before tracing is a plain 0.0."""
     return tuple(0.0 if is_zero(entry) or is_zero(factor) else entry * factor for entry in column)
 
 
 def series(first: LinearSystem, second: LinearSystem) -> LinearSystem:
-    """Two systems in series: the output of the first is the input of the second.
+    """Return two systems in series as one: the output of the first system is the input of the second.
 
-    The state is the state of the first system followed by the state of the second.
+    The joint state is the state of the first system followed by the state of the second.
     """
     rows = [(*row, *(0.0,) * len(second.a)) for row in first.a]
     for entry, row in zip(second.b, second.a, strict=True):
@@ -107,17 +109,17 @@ def series(first: LinearSystem, second: LinearSystem) -> LinearSystem:
 
 
 def spread(system: LinearSystem, places: Sequence[int], size: int) -> LinearSystem:
-    """A system with additional states, which are constant and have no effect.
+    """Return a system with additional states, which are constant and have no effect.
 
     Args:
         system: The system.
-        places: Index of each of its states among all states.
+        places: For each state of the system, its index among all states.
         size: Number of all states.
     """
     index = {place: i for i, place in enumerate(places)}
 
     def wide(row: Column) -> Column:
-        """A row or column of the system among all states."""
+        """Return a row or column of the system, extended by zeros for the additional states."""
         return tuple(row[index[place]] if place in index else 0.0 for place in range(size))
 
     rows = tuple(wide(system.a[index[place]]) if place in index else (0.0,) * size for place in range(size))
@@ -139,13 +141,13 @@ class Forcing(NamedTuple):
 class Transition(NamedTuple):
     """The exact solution of a linear system over a time t.
 
-    The state x changes by X x + sum of G_jk p_jk, where X = exp(A t) - 1, p_jk is term k of the polynomial of input j,
-    and G_jk is its column.
+    The state x changes by X x + the sum of G_jk p_jk. Here X is exp(A t) - 1, p_jk is term k of the polynomial of input
+    j, and the column G_jk is the effect of that term.
 
     Args:
         size: Number of states n.
         entries: Entries of the matrix [X, G_11, G_12, ..., G_21, ...] by row and column; entries left out are zero.
-        starts: Column of that matrix with the first term of each input.
+        starts: For each input j, the index of the column G_j1 in that matrix.
     """
 
     size: int
@@ -153,7 +155,7 @@ class Transition(NamedTuple):
     starts: tuple[int, ...]
 
     def apply(self, state: Sequence[Scalar], inputs: Sequence[Sequence[Scalar]]) -> tuple[Scalar, ...]:
-        """The state at the end of the step, length n.
+        """Return the state at the end of the time t, length n.
 
         Args:
             state: State at the start, length n.
@@ -171,14 +173,14 @@ class Transition(NamedTuple):
 
 
 class HeldSystem(NamedTuple):
-    """Transitions over a whole step and over half of it."""
+    """The exact solution of a linear system over a whole step (``full``) and over half a step (``half``)."""
 
     full: Transition
     half: Transition
 
 
 def hold(a: Rows, forcings: Sequence[Forcing], h: Scalar) -> HeldSystem:
-    """The exact solution of x' = A x + sum of g_j p_j over steps of length h.
+    """Return the exact solution of x' = A x + the sum of g_j p_j over a step of length h, and over half a step.
 
     Args:
         a: A, row by row, shape (n, n) [1/s]; entries may be traced.
@@ -209,7 +211,7 @@ def hold(a: Rows, forcings: Sequence[Forcing], h: Scalar) -> HeldSystem:
 
 
 def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Entries, Entries]:
-    """The entries of exp(M t) - 1 in the rows of the state, over half a step and over the whole step.
+    """Return the entries of exp(M t) - 1 in the rows of the state, for half a step and for the whole step.
 
     Args:
         size: Number of states n.
@@ -228,7 +230,11 @@ def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Ent
         start[place] = first.get(place, 0.0) + 0.5 * second.get(place, 0.0)
 
     def double(values: tuple[Scalar, ...], t: Scalar) -> tuple[Scalar, ...]:
-        """X(2 t) = 2 X(t) + X(t)^2, from the entries of X(t) in the places of ``pattern``; t in units of the step."""
+        """Return the entries of X(2 t) = 2 X(t) + X(t)^2 at the places of ``pattern``, given those of X(t).
+
+        The rows of the polynomials' terms, which X(t) has too, contain powers of t alone, so they are not stored. Here,
+        t is in units of the step.
+        """
         x = dict(zip(pattern, values, strict=True))
         square = product(x, x, size)
         for (row, column), number in x.items():
@@ -248,7 +254,7 @@ def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Ent
         real = jnp.result_type(float)
 
         def doubling(_: Scalar, carry: tuple[tuple[Scalar, ...], Scalar]) -> tuple[tuple[Scalar, ...], Scalar]:
-            """The entries at twice the time, and that time."""
+            """Return the entries at twice the time, and that time."""
             values, t = carry
             return double(values, t), 2.0 * t
 
@@ -260,7 +266,7 @@ def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Ent
 
 
 def product(left: Entries, right: Entries, size: int) -> Entries:
-    """The product of two matrices, both without the rows below the state's ``size`` rows, where they are zero."""
+    """Return the product of two matrices of which only the first ``size`` rows, those of the state, are not zero."""
     by_row: dict[int, list[tuple[int, Scalar]]] = {}
     for (row, column), number in right.items():
         by_row.setdefault(row, []).append((column, number))
@@ -278,10 +284,9 @@ def add(entries: Entries, place: tuple[int, int], number: Scalar) -> None:
 
 
 def nonzero_places(rates: Entries, size: int, chains: dict[int, int]) -> tuple[tuple[int, int], ...]:
-    """The places, by row and column, where the exponential may differ from the identity; sorted.
+    """Return the places, by row and column, at which the exponential may differ from the identity, sorted.
 
-    A place (i, j) is among them if nonzero entries of the augmented matrix lead from row i to column j in any number of
-    steps.
+    A place (i, j) is one of them if a chain of nonzero entries of the augmented matrix leads from row i to column j.
 
     Args:
         rates: Entries of A h and g h.

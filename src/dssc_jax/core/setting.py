@@ -6,15 +6,15 @@ import numpy as np
 
 
 class NominalPlant(NamedTuple):
-    """A linear plant x' = A x + b u_p + E d of one channel, with the medians of its laws.
+    """A linear plant x' = A x + b u_p + E d of one channel, in which the median of each law stands for the law.
 
     Args:
         a: A, shape (n, n).
         command: b, shape (n,).
         disturbances: E: the column of the disturbance at the command, then a column for each named input, shape (n, q).
-        output: Row of y, shape (n,).
-        signals: Row of each measured signal, shape (m, n).
-        feedthrough: Feedthrough of the command to each measured signal, shape (m,).
+        output: Row c of the output y = c x, shape (n,).
+        signals: Row of each measured signal, by which x gives the signal, shape (m, n).
+        feedthrough: Direct feedthrough from the command to each measured signal, shape (m,).
         inputs: Names of the columns of ``disturbances``, length q.
     """
 

@@ -18,12 +18,13 @@ State: TypeAlias = Any
 Info: TypeAlias = Any
 
 LastChange: TypeAlias = Callable[[Params], Scalar]
-"""``(params) -> t``: time from which a signal does nothing that it has not done before [s], besides what begins at the
-times that its parameters declare by ``begins``. ``params`` has the largest value of each number. math.inf: it changes
-again and again. Noise does the same at all times."""
+"""``(params) -> t``: time [s] from which a signal does nothing that it has not done before. Changes at the times that
+parameters declare by ``begins`` do not count, and noise counts as doing the same at all times. ``params`` has the
+largest value of each number. The result math.inf means that the signal changes again and again."""
 
 ProgressCallback: TypeAlias = Callable[[int, int | None], None]
-"""Called with the number of finished lanes or steps and the total number; None: the total is not known."""
+"""``(finished, total)``: called with the number of finished lanes or steps and the total number; the total is None if
+it is not known."""
 
 
 class Measurement(NamedTuple):
@@ -32,8 +33,8 @@ class Measurement(NamedTuple):
     Args:
         y: Output [y].
         y_dot: Derivative of the output [y/s].
-        signals: The other measured signals in the order of the study's ``measures``. Only the controller gets them: the
-            measurements of the plant, of sensors and of differentiators have none.
+        signals: The other measured signals, in the order of the study's ``measures``. Only the controller gets these:
+            measurements of the plant, of sensors and of differentiators have an empty tuple.
     """
 
     y: Scalar
@@ -42,7 +43,13 @@ class Measurement(NamedTuple):
 
 
 class ReferencePoint(NamedTuple):
-    """Desired output ``y`` = y_m [y] with its first derivative ``y_dot`` [y/s] and second ``y_ddot`` [y/s^2]."""
+    """The desired output y_m of one channel, with its derivatives.
+
+    Args:
+        y: y_m [y].
+        y_dot: y_m' [y/s].
+        y_ddot: y_m'' [y/s^2].
+    """
 
     y: Scalar
     y_dot: Scalar
@@ -63,14 +70,14 @@ Signal = TypeVar("Signal", bound=Scalar | Signals)
 
 
 class Command(NamedTuple):
-    """A controller's command u_p of equation (11) in its two parts, u (robust) and u_n (nominal) [u]."""
+    """A controller's command u_p of equation (11), split into its two parts u (robust) and u_n (nominal) [u]."""
 
     robust: Scalar
     nominal: Scalar
 
     @property
     def total(self) -> Scalar:
-        """u_p = u + u_n (11) [m/s]."""
+        """The sum u_p = u + u_n (11) [u]."""
         return self.robust + self.nominal
 
 
@@ -81,7 +88,7 @@ class PlantInput(NamedTuple, Generic[Signal]):
         command: The command u_p after the actuators [u]; a tuple for a plant with several channels.
         disturbance: The matched disturbance d [u]; a tuple for a plant with several channels.
         wind: A ``Vec3`` [m/s] for flying plants; None: there is no wind.
-        inputs: The disturbances at the inputs that the plant names, in their order.
+        inputs: The disturbances at the inputs that the plant names, in the plant's order.
         condition: The changes that events have made to a vehicle, a :class:`dssc_jax.core.events.Condition`; None: no
             event has happened.
     """
@@ -96,25 +103,31 @@ class PlantInput(NamedTuple, Generic[Signal]):
 class Outcome(IntEnum):
     """How a draw ended.
 
-    ``REQUIREMENT + i``: the draw completed, and requirement i (from 0) is the first violated one in the study's order.
+    ``REQUIREMENT + i`` means that the draw completed, and that requirement i, counted from 0 in the study's order, is
+    the first one that it violates.
     """
 
-    OK = 0  # it completed, and meets all requirements
-    NON_FINITE = 1  # its state became infinite or NaN
+    OK = 0  # the draw completed, and meets all requirements
+    NON_FINITE = 1  # the state became infinite or NaN
     SINGULAR_ATTITUDE = 2  # the model of the plant was no longer valid
     INTO_GROUND = 3  # the vehicle flew into the ground
     REQUIREMENT = 10
 
 
 class TrackingError(NamedTuple):
-    """Output error e = y - y_m (9) [y] and the output of relative degree one sigma = e' + l_0 e (10) [y/s]."""
+    """The tracking error of one channel.
+
+    Args:
+        e: Output error e = y - y_m (9) [y].
+        sigma: Output of relative degree one sigma = e' + l_0 e (10) [y/s].
+    """
 
     e: Scalar
     sigma: Scalar
 
 
 def tracking_error(measurement: Measurement, reference: ReferencePoint, l0: Scalar) -> TrackingError:
-    """Equations (9) and (10).
+    """Return e and sigma by equations (9) and (10).
 
     Args:
         measurement: y and y'.

@@ -1,7 +1,7 @@
-"""Where a part of the loop has a derivative: declared on the part, and read before anything is linearised.
+"""Where a part of the loop has a derivative: each part declares it, and analyses read it before they linearise.
 
-A derivative that is taken where there is none is a wrong number without a word: under JAX the derivative of a clip at
-its corner is 1/2, and the derivative of a quantiser is 0. A part without a declaration is therefore refused.
+Where no derivative exists, JAX gives a wrong number without a warning: the derivative of a clip at its corner is 1/2,
+and that of a quantiser is 0. A part without a declaration is therefore refused.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ class SmoothExtent(StrEnum):
 
 
 Substitution: TypeAlias = Callable[[Params], tuple[Any, Params]]
-"""``(params) -> (part, params)``: the part that stands for another, with its parameters."""
+"""``(params) -> (part, params)``: from the parameters of a part, the part that stands for it, with its parameters."""
 
 
 class Smoothness(NamedTuple):
@@ -33,9 +33,9 @@ class Smoothness(NamedTuple):
         meaning: Words that follow the part's name: the boundaries of a piecewise part, or the reason why a part is
             smooth nowhere. With a substitute, a description of it, which the output of an analysis repeats.
         substitute: ``(params) -> (part, params)``: the smooth part that is differentiated instead, with a state of the
-            same structure. For a piecewise part it is the part on the inner side of its boundaries, and is taken where
-            the operating point lies on a boundary. For a part that is smooth nowhere it is taken always. None: the
-            analysis refuses the part.
+            same structure. For a piecewise part, it is the part on the inner side of the boundaries, and replaces the
+            original at an operating point on a boundary. For a part that is smooth nowhere, it always replaces the
+            original. None: the analysis refuses the part.
     """
 
     extent: SmoothExtent
@@ -44,24 +44,25 @@ class Smoothness(NamedTuple):
 
 
 Declaration: TypeAlias = Smoothness | Callable[[Params], Smoothness] | None
-"""The field ``smooth`` of a part: plainly, or from its parameters; None: not declared."""
+"""The field ``smooth`` of a part: a :class:`Smoothness`, or a function that returns one for the part's parameters;
+None: not declared."""
 
 # meanings of a Smoothness that several parts share
 MEAN_GAIN = (
     "its mean gain 1, with an error of at most half a step; the describing function reaches 4/pi, so that a gain "
     "margin below 1.27 does not exclude a limit cycle of about one step"
 )
-"""What a rounding to a resolution counts as."""
+"""The meaning of a part that rounds to a resolution, and for which a linearisation takes a gain of 1."""
 
 SWITCHES = "switches at the origin and has no linearisation there; a describing function covers it where declared"
-"""Why a switching law is smooth nowhere that helps."""
+"""The meaning of a switching law, which an analysis cannot linearise."""
 
 SMOOTH = Smoothness(SmoothExtent.EVERYWHERE)
 """A part with a derivative at every point, such as a linear one."""
 
 
 def piecewise(meaning: str, substitute: Substitution | None = None) -> Smoothness:
-    """The declaration of a part that has a derivative except on boundaries, such as a saturation.
+    """Return the declaration of a part that has a derivative except on boundaries, such as a saturation.
 
     Args:
         meaning: The boundaries, in words that follow the part's name.
@@ -71,7 +72,7 @@ def piecewise(meaning: str, substitute: Substitution | None = None) -> Smoothnes
 
 
 def not_smooth(meaning: str, substitute: Substitution | None = None) -> Smoothness:
-    """The declaration of a part without a useful derivative, such as a quantiser.
+    """Return the declaration of a part without a useful derivative, such as a quantiser.
 
     Args:
         meaning: The reason, in words that follow the part's name; with a substitute, a description of that.
@@ -81,7 +82,7 @@ def not_smooth(meaning: str, substitute: Substitution | None = None) -> Smoothne
 
 
 def declared_smoothness(part: object, params: Params) -> Smoothness:
-    """The smoothness that a part declares for its parameters.
+    """Return the smoothness that a part declares, given the part's parameters.
 
     Args:
         part: An instance of a contract, or any object with the field ``smooth``.

@@ -1,8 +1,8 @@
 """Units of a channel's signals, and the units of numbers that follow from them.
 
-Models and metrics do not know the plant that they meet. They write their units with two symbols: ``y``, the unit of
-the plant's output, and ``u``, the unit of its command. ``y/s^2`` is the unit of y'', and ``y/(s^2 u)`` that of the
-high-frequency gain. :meth:`ChannelUnits.of` puts in the plant's own units and reduces the result.
+Models and metrics do not know with which plant a study combines them. Their units contain two symbols: ``y``, the unit
+of the plant's output, and ``u``, the unit of its command. ``y/s^2`` is the unit of y'', and ``y/(s^2 u)`` that of the
+high-frequency gain. :meth:`ChannelUnits.of` replaces the symbols by the plant's own units and reduces the result.
 """
 
 import math
@@ -57,7 +57,7 @@ class ChannelUnits(NamedTuple):
     command_meaning: str = "command"
 
     def of(self, unit: str) -> str:
-        """Put this channel's units in place of the symbols ``y`` and ``u`` of a unit.
+        """Return a unit in which this channel's units replace the symbols ``y`` and ``u``.
 
         Args:
             unit: A unit such as ``y/s^2``, or several with commas between them.
@@ -65,7 +65,7 @@ class ChannelUnits(NamedTuple):
         return ", ".join(substitute_units(part, self.output, self.command) for part in unit.split(", "))
 
     def describe(self, meaning: str) -> str:
-        """Put this channel's meanings in place of the words ``output`` and ``command`` of a meaning."""
+        """Return a meaning in which this channel's meanings replace the words ``output`` and ``command``."""
         replacements = {"output": self.output_meaning, "command": self.command_meaning}
         return re.sub(r"\b(output|command)\b", lambda match: replacements[match[0]], meaning)
 
@@ -85,7 +85,7 @@ def substitute_units(unit: str, output: str, command: str) -> str:
     """Replace the symbols ``y`` and ``u`` in a unit by two units, and reduce the result.
 
     Args:
-        unit: The unit; without these symbols it is returned as it is.
+        unit: The unit; a unit without these symbols is returned unchanged.
         output: Unit in place of ``y``.
         command: Unit in place of ``u``.
     """
@@ -125,7 +125,7 @@ def parse_unit(text: str) -> Powers:
 
 
 def scaled_symbols(text: str) -> dict[str, tuple[float, str]]:
-    """Find the symbols in a unit that stand for a multiple of an SI unit, each with that factor and the SI unit.
+    """Return the symbols in a unit that stand for a multiple of an SI unit, each with the factor and the SI unit.
 
     Example:
         >>> scaled_symbols("uH/ohm"), scaled_symbols("kg m^2")
@@ -143,10 +143,10 @@ def scaled_symbols(text: str) -> dict[str, tuple[float, str]]:
 def parse_product(text: str, position: int) -> tuple[Powers, int]:
     """Parse the product of powers that begins at a position of a text.
 
-    It ends at a closing parenthesis, at the end of the text, or before text that is no part of a unit.
+    The product ends at a closing parenthesis, at the end of the text, or before text that is no part of a unit.
 
     Returns:
-        Its exponents, and the position of its end.
+        The exponents of the product, and the position of its end.
 
     Raises:
         StopIteration: A factor or a parenthesis is missing.
@@ -179,10 +179,10 @@ def parse_product(text: str, position: int) -> tuple[Powers, int]:
 
 
 def unit_text_of(powers: Powers) -> str:
-    """Write a unit as text: ``m/s^2``, ``rad/(s^3 V)``, ``(m/s)^(1/2)``; ``1`` if it is dimensionless.
+    """Return a unit as text, such as ``m/s^2``, ``rad/(s^3 V)`` or ``(m/s)^(1/2)``; ``1`` if it is dimensionless.
 
-    The root of a rate stays together, as in ``(m/s)^(1/2)``: the square-root functions of DSSC depend on
-    |sigma|^(1/2).
+    The root of a rate is written as one factor, such as ``(m/s)^(1/2)``, because the square-root functions of DSSC
+    depend on |sigma|^(1/2).
     """
     powers = {symbol: power for symbol, power in powers.items() if power}
     roots = [symbol for symbol, power in powers.items() if power.denominator == 2 and symbol != "s"]
@@ -215,7 +215,7 @@ def unit_text_of(powers: Powers) -> str:
 
 
 def power_text(symbol: str, power: Fraction) -> str:
-    """Write one factor of a unit, such as ``s``, ``s^2`` or ``V^(1/2)``."""
+    """Return one factor of a unit as text, such as ``s``, ``s^2`` or ``V^(1/2)``."""
     if power == 1:
         return symbol
     return f"{symbol}^{power}" if power.denominator == 1 else f"{symbol}^({power})"

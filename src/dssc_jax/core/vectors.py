@@ -129,7 +129,13 @@ class Quaternion(NamedTuple):
 
 
 def quaternion_from_euler(phi: Scalar, theta: Scalar, psi: Scalar) -> Quaternion:
-    """The rotation R_z(psi) R_y(theta) R_x(phi); angles in rad."""
+    """The rotation R_z(psi) R_y(theta) R_x(phi); angles in rad.
+
+    Args:
+        phi: Roll angle [rad].
+        theta: Pitch angle [rad].
+        psi: Yaw angle [rad].
+    """
     cr = jnp.cos(0.5 * phi)
     sr = jnp.sin(0.5 * phi)
     cp = jnp.cos(0.5 * theta)

@@ -11,13 +11,13 @@ from dssc_jax.core.vectors import Vec3
 
 
 class WindBounds(NamedTuple):
-    """Bounds that a wind keeps at all times, whatever its random numbers.
+    """Bounds that a wind keeps at all times, for all random numbers.
 
     Args:
         speed: Bound of the horizontal wind speed [m/s].
         vertical: Bound of the vertical wind |w_z| [m/s].
-        rate: Bound of the rate of change [m/s^2], for the horizontal vector and for the vertical component each; None:
-            the wind may jump.
+        rate: Bound of the rate of change [m/s^2], which holds for the horizontal vector and for the vertical component
+            separately; None: the wind may jump.
     """
 
     speed: Scalar
@@ -37,7 +37,7 @@ class Wind(NamedTuple):
         bounds: ``(params) -> WindBounds`` of prepared parameters without laws; None: no bound is known.
         mean: ``(params, dt) -> Vec3``: the expected wind over the first sample, of length dt; None: the wind has no
             random numbers, so its value is its mean.
-        last_change: Time from which it does nothing new; None: ``[loop.settled]`` refuses it.
+        last_change: Time from which the wind does nothing new; None: ``[loop.settled]`` refuses the wind.
     """
 
     params: type
@@ -50,7 +50,10 @@ class Wind(NamedTuple):
     last_change: LastChange | None = None
 
     def at_start(self, params: Params, dt: Scalar) -> Vec3:
-        """The expected wind over the first sample, of length dt [m/s]."""
+        """Return the expected wind [m/s] over the first sample, of length dt [s].
+
+        A wind without ``mean`` has no random numbers, so any key gives its value.
+        """
         if self.mean is not None:
             return self.mean(params, dt)
         key = jax.random.key(0)

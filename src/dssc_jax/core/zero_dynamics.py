@@ -1,4 +1,4 @@
-"""The zero dynamics eta' = A_eta eta + B_eta y' of (5), for plant and norm observer."""
+"""The zero dynamics eta' = A_eta eta + B_eta y' of (5), which the plant and the norm observer share."""
 
 from typing import Annotated, NamedTuple
 
@@ -16,7 +16,7 @@ class ZeroDynamics(NamedTuple):
     Args:
         a: Coefficients (a_0, ..., a_{m-1}) of the characteristic polynomial s^m + a_{m-1} s^{m-1} + ... + a_0; the last
             row of A_eta is -a.
-        c: Row C_eta, length m.
+        c: Output row C_eta, length m.
     """
 
     a: Annotated[tuple[Scalar, ...], Quantity("1/s^(m-i)", "characteristic coefficients of A_eta, rising powers")]
@@ -24,7 +24,7 @@ class ZeroDynamics(NamedTuple):
 
 
 def companion(a: tuple[float, ...]) -> np.ndarray:
-    """The matrix A_eta in controllable canonical form, shape (m, m), from its characteristic coefficients.
+    """Return the matrix A_eta in controllable canonical form, shape (m, m), given its characteristic coefficients.
 
     Args:
         a: Coefficients in rising powers, without the leading 1.
@@ -45,11 +45,13 @@ def is_hurwitz(a: tuple[float, ...]) -> bool:
 
 
 def kharitonov(low: tuple[float, ...], high: tuple[float, ...]) -> list[tuple[float, ...]]:
-    """Kharitonov's four polynomials: if these are stable, so is every polynomial with coefficients between the bounds.
+    """Return Kharitonov's four polynomials, without the leading 1, by their coefficients in rising powers.
+
+    If these four are stable, so is every polynomial with coefficients between the bounds.
 
     Args:
         low: Lower bounds of the coefficients in rising powers, without the leading 1.
-        high: Upper bounds.
+        high: Upper bounds of the same coefficients.
 
     Reference:
         V. L. Kharitonov, Differential Equations 14 (1979) 1483-1485.
@@ -62,10 +64,10 @@ def kharitonov(low: tuple[float, ...], high: tuple[float, ...]) -> list[tuple[fl
 
 
 def require_hurwitz(dynamics: ZeroDynamics) -> None:
-    """Require that a and c have one length, and that A_eta is Hurwitz for all values of its coefficients' laws.
+    """Require that a and c have the same length, and that A_eta is Hurwitz for all values of its coefficients' laws.
 
     Raises:
-        ConfigError: One of the two does not hold.
+        ConfigError: The lengths differ or are 0, or A_eta may have an eigenvalue outside of the open left half plane.
     """
     if len(dynamics.a) != len(dynamics.c) or not dynamics.a:
         raise ConfigError(
@@ -85,14 +87,14 @@ def require_hurwitz(dynamics: ZeroDynamics) -> None:
 
 
 def norm_observer(dynamics: ZeroDynamics) -> tuple[float, float]:
-    """Rate lambda [1/s] and gain c of the norm observer eta_bar' = -lambda eta_bar + c |y'|, which bounds |C_eta eta|.
+    """Return rate lambda [1/s] and gain c of the norm observer eta_bar' = -lambda eta_bar + c |y'|.
 
-    With the Lyapunov equation A_eta^T P_o + P_o A_eta = -2 I, lambda = 1/lmax(P_o) and
-    c = |C_eta| |P_o B_eta| / lmin(P_o), where lmin and lmax are the extreme eigenvalues. The bound holds up to the
-    transient |C_eta| (lmax/lmin)^(1/2) |eta(0)| e^(-lambda t).
+    Its state eta_bar bounds |C_eta eta|, up to the transient |C_eta| (lmax/lmin)^(1/2) |eta(0)| e^(-lambda t). With the
+    solution P_o of the Lyapunov equation A_eta^T P_o + P_o A_eta = -2 I and its extreme eigenvalues lmin and lmax, the
+    rate is lambda = 1/lmax and the gain is c = |C_eta| |P_o B_eta| / lmin.
 
     Raises:
-        ConfigError: As for :func:`require_hurwitz`.
+        ConfigError: A_eta is not Hurwitz, or the lengths of a and c differ; see :func:`require_hurwitz`.
     """
     require_hurwitz(dynamics)
     matrix = companion(tuple(float(value) for value in dynamics.a))

@@ -21,15 +21,15 @@ def compile(function: Callable[..., Any], *example: Any, strict: bool = False) -
         function: A pure function of trees of scalars; its results are scalars, and arrays that a ``scan`` records.
         example: An example of each argument: trees of numbers or of ``jax.ShapeDtypeStruct``. Only their types count,
             which are JAX's: 64 bits under ``jax.enable_x64``, 32 bits otherwise.
-        strict: Contract no product with a sum, so that the bits are the same on every machine.
+        strict: Never contract a product and a sum into one operation, so that the bits are the same on every machine.
 
     Returns:
-        The function of trees whose scalars are replaced by columns of one length n. Its results are NumPy arrays of
-        shape (n, ...).
+        The compiled function. Its arguments are trees like the examples, with a column of shape (n,) in place of each
+        scalar. Its results are NumPy arrays of shape (n, ...).
 
     Raises:
         Unsupported: An operation has no translation; the message names it and its place in the source.
-        TypeError: An example holds something else than numbers.
+        TypeError: An example holds something other than scalar numbers.
 
     Example:
         >>> import numpy as np
@@ -47,7 +47,12 @@ def compile(function: Callable[..., Any], *example: Any, strict: bool = False) -
     threads = machine.usable_cores()
 
     def batch(*arguments: Any) -> Any:
-        """Run all lanes and wait for them; each argument is a tree of columns of shape (n,), one element a lane."""
+        """Run all lanes and return their results; an argument is a tree of columns of shape (n,), one element a lane.
+
+        Raises:
+            TypeError: The arguments are not trees like the examples.
+            ValueError: The columns differ in length, or have more than one axis.
+        """
         columns = jax.tree.leaves(arguments)
         if jax.tree.structure(arguments) != structure:
             raise TypeError(f"the arguments must have the structure {structure}, got {jax.tree.structure(arguments)}")
@@ -62,7 +67,9 @@ def compile(function: Callable[..., Any], *example: Any, strict: bool = False) -
 
 
 def scalar_type(example: Any) -> jax.ShapeDtypeStruct:
-    """The type of an example, as JAX's tracing takes it: the shape (), and the dtype in JAX's present precision.
+    """Return the shape () and the dtype of an example, in the form with which JAX traces a function.
+
+    The dtype is limited to JAX's present precision: without 64 bits, float64 becomes float32.
 
     Raises:
         TypeError: The example is an array.

@@ -19,7 +19,7 @@ class Builder:
     """Builds a program node by node; ``here`` is the block that is being built.
 
     Args:
-        fast: Whether products and quotients may be regrouped (:meth:`_regrouped`), which changes their last bits.
+        fast: Whether products and quotients may be regrouped (:meth:`_regrouped`). This changes their last bits.
     """
 
     def __init__(self, fast: bool = False) -> None:
@@ -29,7 +29,7 @@ class Builder:
         self._constants: dict[Hashable, Value] = {}
 
     def constant(self, number: Any, dtype: np.dtype) -> Value:
-        """A constant of a dtype; constants of equal bits are one value."""
+        """Return a number as a constant of a dtype; numbers of equal dtype and bits give the same value."""
         scalar = np.asarray(number).astype(dtype)[()]  # [()]: NumPy's scalar in place of an array of shape ()
         key = dtype, scalar.tobytes()  # the bits, since -0 equals 0 and NaN does not equal itself
         if key not in self._constants:
@@ -37,7 +37,7 @@ class Builder:
         return self._constants[key]
 
     def input(self, position: int, dtype: np.dtype) -> Value:
-        """The input of the lane at a position, its ``detail``; it may differ between lanes."""
+        """Return the input at a position among the lane's inputs; its value may differ between lanes."""
         return self._place("input", dtype, (), detail=position, varying=True, home=self.here)
 
     def add(self, operation: str, *operands: Value, dtype: np.dtype | None = None, detail: Any = None) -> Value:
@@ -47,7 +47,7 @@ class Builder:
             operation: An :class:`Operation`, or its name.
             operands: The operands.
             dtype: Dtype of the result; None: a truth value for a comparison, else the dtype of the last operand.
-            detail: The table of a ``lookup``, the subroutine of a ``rarely``.
+            detail: The table of a ``lookup`` or the subroutine of a ``rarely``; None for other operations.
         """
         dtype = dtype or (BOOL if operation in COMPARISONS else operands[-1].dtype)
         if operation in ("mul", "abs") and dtype.kind == "f" and all(value.operation == "neg" for value in operands):
@@ -63,34 +63,39 @@ class Builder:
             regrouped = self._regrouped(operation, operands)
             if regrouped is not None:
                 return regrouped
+        # the result of "any" is the same in all lanes, though its operand varies
         varying = operation != "any" and any(operand.varying for operand in operands)
         return self._place(operation, dtype, operands, detail=detail, varying=varying, home=self._home(operands))
 
     def memory(self, slot: Slot) -> Value:
-        """Reserve a slot full of zeros in the body of the program; return the token of its content."""
+        """Reserve a slot of memory, full of zeros, in the program's outermost block; return the token of its content.
+
+        A token stands for the content of a slot at one moment. It orders reads and writes: each takes a token as an
+        operand, and a write returns a new one.
+        """
         body = self.here
         while body.parent is not None:
             body = body.parent
         return self._place("memory", TOKEN, (), detail=slot, varying=True, home=body)
 
     def read(self, slot: Slot, token: Value, index: Value) -> Value:
-        """Read an element of a slot; ``token`` stands for the slot's content."""
+        """Read the element of a slot at an index; ``token`` stands for the slot's content at that moment."""
         return self._place("read", slot.dtype, (token, index), detail=slot, varying=True, home=self.here)
 
     def write(self, slot: Slot, token: Value, index: Value, value: Value, reads: Sequence[Value]) -> Value:
-        """Write an element of a slot, and return the token of the content after it.
+        """Write an element of a slot, and return the token of the content after the write.
 
         Args:
             slot: The slot.
-            token: The token of the content before.
-            index: Uniform index of the element.
+            token: The token of the content before the write.
+            index: Index of the element, the same in all lanes.
             value: The new element.
-            reads: Reads of the content before, which must come first.
+            reads: Reads of the content before the write. They become operands, so that they run first.
         """
         return self._place("write", TOKEN, (token, index, value, *reads), detail=slot, varying=True, home=self.here)
 
     def foreign(self, function: ForeignFunction, operands: Sequence[Value]) -> list[Value]:
-        """Call a function of C in each lane; return its results, which are taken to differ between lanes."""
+        """Call a function of C in each lane; return one value for each result, assumed to differ between lanes."""
         home = self._home(operands)
         types = [place.dtype for place in function.results]
         call = self._place(Operation.FOREIGN, types[0], tuple(operands), detail=function, varying=True, home=home)
@@ -100,12 +105,12 @@ class Builder:
         ]
 
     def loop(self, initial_states: Sequence[Value], varying: Sequence[bool], guard: Value | None) -> CodeLoop:
-        """Begin a loop; :meth:`end_loop` ends it.
+        """Begin a loop and build its body from here on; :meth:`end_loop` ends it.
 
         Args:
             initial_states: States before the first turn.
             varying: Whether each state may differ between lanes after a turn.
-            guard: Whether to enter the loop; None: always.
+            guard: Condition for the first turn, the same in all lanes; None: the loop always has a first turn.
         """
         loop = CodeLoop(CodeBlock(self.here, depth=self.here.depth + 1), guard, list(initial_states))
         for position, (value, varies) in enumerate(zip(initial_states, varying, strict=True)):
@@ -122,11 +127,11 @@ class Builder:
         Args:
             loop: The loop that :meth:`loop` began.
             next_states: States after a turn.
-            proceed: The uniform condition for another turn.
+            proceed: Condition for another turn, the same in all lanes.
         """
         loop.next_states = list(next_states)
         loop.proceed = proceed
-        self.here = loop.body.parent or loop.body
+        self.here = loop.body.parent or loop.body  # the body of a loop always has a parent
         self.here.nodes.append(loop)
         loop.results = [
             Value(Operation.RESULT, state.dtype, detail=(loop, position), varying=state.varying, block=self.here)
@@ -139,7 +144,7 @@ class Builder:
 
         Args:
             condition: Whether a lane takes the first of the two sides.
-            sides: For each side, the function that builds it and returns its results.
+            sides: Two functions, each of which builds one side and returns the results of that side.
         """
         surrounding_block = self.here
         blocks = []
@@ -160,13 +165,17 @@ class Builder:
         return branch.results
 
     def record(self, recording: Recording, position: Value, value: Value) -> None:
-        """Store a value at a uniform position of a recording, whenever the present block runs."""
+        """Store a value in a recording whenever the present block runs; all lanes store at the same position."""
         self.here.nodes.append(Record(recording, position, value))
 
     def _regrouped(self, operation: str, operands: Sequence[Value]) -> Value | None:
-        """The same product or quotient with fewer operations in inner blocks; None if there is none.
+        """Return an equal product or quotient with fewer operations in inner blocks; None if no such form is known.
 
-        Sums keep their order, because cancellation depends on it.
+        Equal means: up to rounding. Sums are never regrouped, because the order of a sum decides what cancels.
+
+        Args:
+            operation: The operation; any other than "div" and "mul" gives None.
+            operands: The operands, floating-point numbers.
         """
         if operation == "div":
             dividend, divisor = operands
@@ -179,7 +188,7 @@ class Builder:
         return None
 
     def _product_with_square(self, product: Value, root: Value) -> Value | None:
-        """The product (x root) root as x |y|, for the root of |y|, whose square it is; None for other operands."""
+        """Return (x root) root as x |y|, where root is the square root of |y|; None for other operands."""
         if root.operation != "sqrt" or product.operation != "mul" or root not in product.operands:
             return None
         (radicand,) = root.operands
@@ -188,18 +197,22 @@ class Builder:
         return self.add("mul", factor, radicand) if radicand.operation == "abs" else None
 
     def _quotient_by_inverse(self, dividend: Value, divisor: Value) -> Value | None:
-        """The quotient as a product, if the divisor is known before a loop, where it is inverted; else None."""
+        """Return the quotient as a product with 1/divisor, which is computed before a loop; else None.
+
+        This requires a divisor that is known in an outer block of the one in which the dividend is known, and an
+        inverse that is a normal number if it is a constant.
+        """
         if self._depth_of(divisor) >= self._depth_of(dividend):
             return None
         inverse = self.add("div", self.constant(1.0, divisor.dtype), divisor)
         return self.add("mul", dividend, inverse) if is_normal_or_varies(inverse) else None
 
     def _product_outside_in(self, product: Value, factor: Value) -> Value | None:
-        """The product (late early) factor as late (early factor), so that ``early factor`` is hoisted out of a loop.
+        """Return (late early) factor as late (early factor), so that ``early factor`` is hoisted out of a loop.
 
         Returns:
-            None if ``product`` is no product, if no factor of it is known later than the other two, or if the constant
-            early * factor would overflow or underflow.
+            The regrouped product; None if ``product`` is no product, if neither of its factors is known in a deeper
+            block than the other two numbers, or if the constant early * factor would overflow or underflow.
         """
         if product.operation != "mul":
             return None
@@ -212,11 +225,14 @@ class Builder:
         return None
 
     def _depth_of(self, value: Value) -> int:
-        """The depth of the block to which an operation on a value alone is hoisted; -1 for a constant."""
+        """Return the depth of the block to which an operation on this value alone is hoisted; -1 for a constant."""
         return -1 if value.operation == "constant" else self._home([value]).depth
 
     def _home(self, operands: Sequence[Value]) -> CodeBlock:
-        """The block to which an operation on some operands is hoisted: the outermost one that may compute it."""
+        """Return the block to which an operation on some operands is hoisted.
+
+        It is the outermost block in which all operands are known, but never outside a side of a branch.
+        """
         deepest = max((operand.block.depth for operand in operands if operand.block is not None), default=0)
         block = self.here
         while block.depth > deepest and not block.keeps_operations and block.parent is not None:
@@ -233,7 +249,19 @@ class Builder:
         varying: bool,
         home: CodeBlock,
     ) -> Value:
-        """Return the equal value of a block, or of one that surrounds it; if there is none, add a new value to it."""
+        """Return the value of an operation, as one that exists already or as a new one in the block ``home``.
+
+        An equal value is sought in ``home`` and in the blocks around it.
+
+        Args:
+            operation: The operation.
+            dtype: Dtype of the result.
+            operands: The operands.
+            detail: What the operation needs beside its operands.
+            varying: Whether the result may differ between lanes.
+            home: The block for a new value.
+        """
+        # values are compared by identity: equal operands are already one object
         key = operation, dtype, tuple(map(id, operands)), detail if isinstance(detail, int) else id(detail)
         block: CodeBlock | None = home
         while block is not None:
@@ -247,14 +275,23 @@ class Builder:
 
 
 def is_normal_or_varies(factor: Value) -> bool:
-    """Whether a factor may be used in a regrouped product: a constant must be a normal number, any other value may."""
+    """Whether a factor may be used in a regrouped product.
+
+    A constant must be a normal number: neither 0, subnormal, infinite nor NaN. Any other value is accepted.
+    """
     if factor.operation != "constant":
         return True
     return bool(np.finfo(factor.dtype).tiny <= abs(factor.detail) < np.inf)
 
 
 def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Value | None:
-    """The operand that always equals the result of an operation, to the last bit; None if there is none."""
+    """Return the operand that always equals the result of an operation, to the last bit; None if no operand does.
+
+    Args:
+        operation: The operation.
+        operands: The operands.
+        dtype: Dtype of the result.
+    """
     first = operands[0]
     first_is_constant = first.operation == "constant"
     if operation in ("convert", "bitcast"):
@@ -279,7 +316,10 @@ def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Va
 
 
 def is_neutral(operand: Value, operation: str) -> bool:
-    """Whether ``operation`` with this operand returns the other one: 1 for "mul", true for "and", false for "or"."""
+    """Whether ``operation`` with this operand returns the other operand.
+
+    This holds for a constant: 1 for "mul", true for "and", false for "or".
+    """
     if operand.operation != "constant":
         return False
     if operation == "mul":

@@ -32,7 +32,12 @@ ADDRESSES: dict[str, int] = {}
 
 
 class MemoryPlace(NamedTuple):
-    """The place of a number in the memory of a call: its dtype, of 32 or 64 bits, and its offset in bytes."""
+    """The place of a number in the memory of a call.
+
+    Args:
+        dtype: Dtype of the number, of 32 or 64 bits.
+        offset: Distance of the number from the start of the memory [bytes].
+    """
 
     dtype: np.dtype
     offset: int
@@ -42,9 +47,9 @@ class ForeignFunction(NamedTuple):
     """A function of C with one argument, the address of the memory that holds its operands and its results.
 
     Args:
-        symbol: Its name, which must differ for different code: the cache of compiled programs compares their texts,
-            which contain the symbol but not the code.
-        size: Bytes of its memory.
+        symbol: Name of the function. Functions with different code need different names: the cache of compiled programs
+            compares only the programs' texts, which contain the name but not the code.
+        size: Size of the memory of a call [bytes].
         operands: Places of the operands.
         results: Places of the results.
     """
@@ -60,13 +65,22 @@ Operand: TypeAlias = jax.Array | np.ndarray | np.generic | float
 
 
 def provide(symbol: str, address: int) -> None:
-    """Register a function of this process by its symbol, so that lanes can call it; its code must stay loaded."""
+    """Register a function of this process, so that lanes can call it.
+
+    Args:
+        symbol: Name of the function.
+        address: Address of the function's code, which must stay loaded.
+    """
     ADDRESSES[symbol] = address
     machine.add_symbol(symbol, address)
 
 
 def call(function: ForeignFunction, *operands: Operand) -> list[jax.Array]:
-    """Call a function of C for scalars, traced or not; return its results as JAX's arrays of shape ().
+    """Call a function of C for scalars; return its results as JAX's arrays of shape ().
+
+    Args:
+        function: The function.
+        operands: Numbers, or JAX's tracers of numbers, in the order of the function's operands.
 
     Raises:
         TypeError: The number of operands is wrong, or JAX's precision lacks a type of the function.
@@ -85,10 +99,10 @@ def call_batch(function: ForeignFunction, operands: np.ndarray) -> np.ndarray:
 
     Args:
         function: The function.
-        operands: Words of 32 bits of the operands, one after another, shape (..., words).
+        operands: The operands of each call as words of 32 bits, one after another, shape (..., operand words).
 
     Returns:
-        Words of the results, shape (..., words).
+        The results of each call as words of 32 bits, shape (..., result words).
     """
     native = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(ADDRESSES[function.symbol])
     rows = operands.reshape(-1, operands.shape[-1])
@@ -102,7 +116,7 @@ def call_batch(function: ForeignFunction, operands: np.ndarray) -> np.ndarray:
 
 
 def word_positions(places: Sequence[MemoryPlace]) -> np.ndarray:
-    """Positions in memory of the words of 32 bits at some places, shape (words,)."""
+    """Return the positions in memory of the words of 32 bits that numbers at some places consist of, shape (words,)."""
     positions = [np.arange(place.offset, place.offset + place.dtype.itemsize, WORD) // WORD for place in places]
     return np.concatenate(positions)
 
@@ -132,20 +146,23 @@ def by_callback(*operands: jax.Array, function: ForeignFunction) -> list[jax.Arr
 
 
 def as_words(operand: jax.Array) -> jax.Array:
-    """The words of 32 bits of each number, along a new last axis of size 1 or 2."""
+    """Return the words of 32 bits of each number, along a new last axis of size 1 (32 bits) or 2 (64 bits)."""
     words = jax.lax.bitcast_convert_type(operand, jnp.uint32)  # JAX adds the axis for two words only
     return words[..., None] if operand.dtype.itemsize == WORD else words
 
 
 def abstract(*operands: jax.ShapeDtypeStruct, function: ForeignFunction) -> list[object]:
-    """Shapes and dtypes of the results, which JAX asks for when it traces the primitive."""
+    """Return the shapes and dtypes of the results, for which JAX asks when it traces the primitive.
+
+    Each result has the shape of the operands, and the dtype that the function declares.
+    """
     return [jax.typeof(jax.ShapeDtypeStruct(operands[0].shape, place.dtype)) for place in function.results]
 
 
 def batched(
     operands: Sequence[jax.Array], axes: Sequence[int | None], *, function: ForeignFunction
 ) -> tuple[list[jax.Array], list[int]]:
-    """The call over a batch, as ``jax.vmap`` asks for it.
+    """Call the primitive for a batch, as ``jax.vmap`` requires it.
 
     Args:
         operands: The operands.
@@ -166,7 +183,7 @@ def batched(
 
 
 def refuse_derivative(*_: object, function: ForeignFunction) -> None:
-    """Refuse to differentiate the primitive: a function of C has no derivative.
+    """Refuse to differentiate the primitive: a function of C has no derivative, whatever the arguments.
 
     Raises:
         Unsupported: Always. Analyses that need derivatives refuse native code earlier, with a better message.

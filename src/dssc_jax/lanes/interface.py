@@ -13,12 +13,13 @@ ENTRY_POINT = "lanes"
 
 
 class Signature(NamedTuple):
-    """The signature of a lane's machine code: all that a caller must know of it.
+    """The signature of a lane's machine code: all that a caller must know to run the code.
 
     Args:
-        width: Lanes of a vector.
+        width: Number of lanes in a vector.
         inputs: Dtype of each column that the code reads.
-        outputs: Dtype of each column that the code writes, with the length of a recording, or None for a number.
+        outputs: For each column that the code writes, its dtype and the length of a recording in one lane. The length
+            is None if the column has one number for each lane.
         results: The tree of results, with 0 in place of each result.
         code: Name of the machine code in the cache.
     """
@@ -40,10 +41,10 @@ class Loaded(Protocol):
 
         Args:
             inputs: Columns of at least ``lanes`` numbers each.
-            outputs: Columns for the results.
+            outputs: Columns that the code fills with results, one number or one recording for each lane.
             lanes: Number of lanes, a multiple of ``width``.
-            width: Lanes of a vector.
-            threads: Number of threads of the CPU.
+            width: Number of lanes in a vector.
+            threads: Number of threads of the CPU; without effect on a GPU.
 
         Returns:
             A function that waits for the lanes, and returns the time of :func:`time.perf_counter` at which they ended.
@@ -52,5 +53,5 @@ class Loaded(Protocol):
 
 
 def stored_type(dtype: np.dtype) -> np.dtype:
-    """The dtype in which a value of some dtype is stored in memory: a truth value is a byte."""
+    """Return the dtype in which memory holds values of a dtype: a byte for truth values, else the dtype itself."""
     return np.dtype(np.uint8) if dtype.kind == "b" else dtype

@@ -24,13 +24,13 @@ Recall: TypeAlias = Callable[[Callable[[], Signature]], Signature]
 
 
 class CompiledLanes:
-    """The program of a lane as machine code, from the user's cache or compiled.
+    """The program of a lane as machine code, which comes from the user's cache or is compiled.
 
     Args:
         lane: A function of trees of scalars.
         arguments: Its arguments, with ``jax.ShapeDtypeStruct`` in place of each scalar.
-        width: Lanes of a vector; None: by the size of the program.
-        strict: Whether products and sums are never contracted, which gives the same bits on every machine.
+        width: Number of lanes in a vector; None: chosen by the size of the program and the processor.
+        strict: Whether products and sums are never contracted, so that every machine computes the same bits.
         recall: Finds the signature in a cache, so that the lane need not be traced; None: the lane is traced.
 
     Raises:
@@ -52,19 +52,26 @@ class CompiledLanes:
         self._code = self.load(cached(self.signature.code, self.compiled))
 
     def _signature(self) -> Signature:
-        """The signature of the lane's machine code, for which the lane is traced."""
+        """Trace the lane, and return the signature of its machine code."""
         return self.traced.signature
 
     @cached_property
     def traced(self) -> "TracedLanes":
-        """The program and its text for LLVM, in the precision that JAX had when this object was made."""
+        """The program and its text for LLVM, traced in the precision that JAX had when this object was made."""
         with jax.enable_x64(self._has_64_bits), np.errstate(all="ignore"):
             return self.translated(*self._request)
 
     def translated(
         self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool
     ) -> "TracedLanes":
-        """Trace a lane; return its program and its text for LLVM."""
+        """Trace a lane; return the lane's program and the program's text for LLVM.
+
+        Args:
+            lane: A function of trees of scalars.
+            arguments: Its arguments, with ``jax.ShapeDtypeStruct`` in place of each scalar.
+            width: Number of lanes in a vector; None: chosen by the size of the program and the processor.
+            strict: Whether products and sums are never contracted.
+        """
         from dssc_jax.lanes.traced_lanes import TracedLanes  # not needed if the cache has the program
 
         return TracedLanes(lane, arguments, width, strict)
@@ -78,9 +85,9 @@ class CompiledLanes:
         return machine.LoadedCode(code)
 
     def interleaved(self, lanes: int) -> int:
-        """Number of neighbouring lanes whose recordings are stored sample by sample, in a batch of ``lanes`` lanes.
+        """Return the number of neighbouring lanes whose recordings are stored together, sample by sample.
 
-        On a CPU these are the lanes of one vector, whatever the size of the batch.
+        On a CPU these are the lanes of one vector, so the number ``lanes`` of lanes in the batch has no effect.
         """
         return self.signature.width
 
@@ -106,7 +113,17 @@ class CompiledLanes:
         return wait_for_results
 
     def start_timed(self, arguments: Any, count: int, threads: int) -> Callable[[], tuple[Any, float]]:
-        """As :meth:`start`; the function also returns when the lanes ended, a time of :func:`time.perf_counter`."""
+        """Begin to run a batch of lanes, and measure when it ends.
+
+        Args:
+            arguments: The lane's arguments, with a column of shape (n,) in place of each scalar.
+            count: Number of lanes n.
+            threads: Number of threads.
+
+        Returns:
+            A function that waits, and returns the tree of results, as that of :meth:`start`, and the time
+            [s, :func:`time.perf_counter`] at which the lanes ended.
+        """
         signature = self.signature
         lanes = whole_multiple(count, signature.width)
         inputs = [
@@ -120,7 +137,7 @@ class CompiledLanes:
         wait = self._code.start(inputs, outputs, lanes, signature.width, threads)
 
         def wait_for_results() -> tuple[Any, float]:
-            """Wait for the lanes; return the tree of results without the padding, and when the lanes ended."""
+            """Wait for the lanes; return the tree of results without the padded lanes, and the time of the end [s]."""
             end_time = wait()
             group = self.interleaved(lanes)
             arrays = []
@@ -132,16 +149,16 @@ class CompiledLanes:
 
 
 def whole_multiple(count: int, width: int) -> int:
-    """The smallest multiple of ``width`` that is at least ``count``: the lanes of a batch, in whole vectors."""
+    """Return the smallest multiple of ``width`` that is at least ``count``: the lanes of a batch in whole vectors."""
     vectors = -(-count // width)  # count / width, rounded up
     return vectors * width
 
 
 def in_order(column: np.ndarray, length: int | None, width: int) -> np.ndarray:
-    """One result of all lanes, in the order of the lanes.
+    """Return one result of all lanes in the order of the lanes, from the order in which the machine code stores it.
 
     Args:
-        column: The numbers as they are stored.
+        column: The stored numbers.
         length: Length of a recording; None: a number for each lane.
         width: Number of neighbouring lanes whose recordings are stored sample by sample.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Operation(StrEnum):
-    """An operation that computes a value of a lane's program; a text below a name tells what the name does not."""
+    """An operation that computes a value of a lane's program; a note below a name adds what the name does not say."""
 
     ADD = "add"
     SUB = "sub"
@@ -83,16 +83,16 @@ ARITHMETIC: dict[str, np.ufunc] = {
 
 
 def constant_result(operation: str, numbers: Sequence[Any], dtype: np.dtype, detail: Any) -> Any:
-    """The result of an operation on constants, computed once when the program is built.
+    """Compute the result of an operation on constants, once when the program is built.
 
     Args:
         operation: The operation.
         numbers: The constants.
         dtype: Dtype of the result.
-        detail: The table of a ``lookup``.
+        detail: The table of a ``lookup``; not used by other operations.
 
     Returns:
-        The number; None if the operation must run on the machine, because NumPy could give another result.
+        The result; None if the operation must run on the machine, because NumPy could give another result.
     """
     with np.errstate(all="ignore"):
         if operation in COMPARISONS:

@@ -26,15 +26,15 @@ class Value:
     """A scalar of one lane.
 
     Args:
-        operation: The operation that computes it.
-        dtype: Its dtype.
+        operation: The operation that computes the value.
+        dtype: Dtype of the value.
         operands: The operands of the operation.
         detail: What the operation needs beside its operands: the number of a ``constant``, the table of a ``lookup``,
             the position of an ``input`` or ``part``, the subroutine of a ``rarely``, the slot of a ``memory``, ``read``
             or ``write``, the function of a ``foreign``. For a ``state`` or ``result`` it is (loop, position), for a
             ``joined`` (branch, position). None for other operations.
-        varying: Whether it may differ between lanes.
-        block: The block that computes it; None for a constant.
+        varying: Whether the value may differ between lanes.
+        block: The block that computes the value; None for a constant.
     """
 
     operation: Operation
@@ -55,7 +55,8 @@ class CodeBlock:
             of a branch.
         depth: Number of surrounding blocks.
         nodes: The sequence.
-        value_of_key: The block's values by all that determines them, so that equal operations become one value.
+        value_of_key: The block's values, by a key of operation, dtype, operands and detail, so that equal operations
+            become one value.
     """
 
     parent: "CodeBlock | None" = None
@@ -71,11 +72,11 @@ class CodeLoop:
 
     Args:
         body: The body.
-        guard: Whether to enter the loop; None: always.
+        guard: Condition of the first turn, the same in all lanes; None: there is always a first turn.
         initial_states: States before the first turn.
         states: States within the body.
         next_states: States after a turn.
-        proceed: The uniform condition of another turn, a value of the body.
+        proceed: Condition of another turn, the same in all lanes: a value of the body or an earlier one.
         results: States after the loop.
     """
 
@@ -94,9 +95,9 @@ class Branch:
 
     Args:
         condition: Whether a lane takes the first side.
-        sides: The blocks of the sides.
-        values: The results of each side.
-        results: The results of the branch.
+        sides: The blocks of the two sides.
+        values: For each side, the values that become the results of the branch if a lane takes this side.
+        results: The results of the branch, after it.
     """
 
     condition: Value
@@ -111,8 +112,8 @@ class Record:
 
     Args:
         recording: The array.
-        position: Uniform index in the array.
-        value: The value.
+        position: Index in the array, the same in all lanes.
+        value: The value that is stored.
     """
 
     recording: "Recording"
@@ -122,7 +123,7 @@ class Record:
 
 @dataclass(eq=False, repr=False, slots=True)
 class Recording:
-    """An output array of a loop: one :class:`Record` writes it, and no operation of the program reads it.
+    """An output array of a loop: one :class:`Record` writes the array, and no operation of the program reads it.
 
     Args:
         length: Number of elements.
@@ -135,7 +136,7 @@ class Recording:
 
 @dataclass(eq=False, repr=False, slots=True)
 class Slot:
-    """An array in the memory of a lane that a loop reads and writes.
+    """An array in the memory of a lane, which a loop reads and writes one element at a time.
 
     Args:
         length: Number of elements.
@@ -166,8 +167,8 @@ class Subroutine:
     """A function of scalars beside the program, which is called only if a lane needs it.
 
     Args:
-        name: Name, unique in the program.
-        program: Body, with one output.
+        name: Name of the subroutine, unique in the program.
+        program: The subroutine's own program, with one output.
     """
 
     name: str
@@ -179,14 +180,14 @@ Node: TypeAlias = Value | CodeLoop | Branch | Record
 
 
 def inner_blocks(node: Node) -> tuple[CodeBlock, ...]:
-    """The blocks of a loop or branch; empty for other nodes."""
+    """Return the blocks within a loop or branch; an empty tuple for other nodes."""
     if isinstance(node, CodeLoop):
         return (node.body,)
     return node.sides if isinstance(node, Branch) else ()
 
 
 def all_blocks(block: CodeBlock) -> Iterator[CodeBlock]:
-    """A block and all blocks within it."""
+    """Yield a block and all blocks within it, outer blocks first."""
     yield block
     for node in block.nodes:
         for inner in inner_blocks(node):
@@ -194,7 +195,11 @@ def all_blocks(block: CodeBlock) -> Iterator[CodeBlock]:
 
 
 def operands_of(node: Node) -> list[Value]:
-    """The values that a node reads itself, without the values that only the nodes of its blocks read."""
+    """Return the values that a node itself refers to; values that only the nodes of its inner blocks read are left out.
+
+    Raises:
+        TypeError: The argument is no node.
+    """
     match node:
         case Value():
             return list(node.operands)

@@ -43,9 +43,9 @@ class ProgramCache:
         self.limit = limit
 
     def get(self, key: str) -> bytes | None:
-        """The program stored under a name; None if there is none.
+        """Return the program stored under a name; None if the cache has no such program.
 
-        A file that does not match its digest is deleted, with a message, and counts as none.
+        A file that does not match its digest is deleted, with a message, and the result is None.
         """
         file = self._file(key)
         try:
@@ -62,9 +62,13 @@ class ProgramCache:
         return None
 
     def put(self, key: str, value: bytes) -> None:
-        """Store a program under its name, and at random times delete old ones.
+        """Store a program under its name, and at random times delete old programs.
 
         Deletion searches the whole folder, on average SEARCHES times while ``limit`` bytes are written.
+
+        Args:
+            key: The name.
+            value: The program.
 
         Raises:
             OSError: The program cannot be written.
@@ -78,7 +82,7 @@ class ProgramCache:
             self._make_room()
 
     def _file(self, key: str) -> Path:
-        """The file of the program of a name."""
+        """Return the path of the file that holds the program of a name."""
         return self._path / f"{key}.program"
 
     def _make_room(self) -> None:
@@ -108,10 +112,10 @@ def delete_damaged(file: Path) -> None:
 
 
 def read_file(path: Path) -> bytes:
-    """The content of a regular file.
+    """Return the content of a regular file.
 
     Raises:
-        OSError: It cannot be read, or is no regular file, such as a named pipe, which could block.
+        OSError: The file cannot be read, or is not regular; a named pipe, for example, could block the process.
     """
     if not path.is_file():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
@@ -119,10 +123,10 @@ def read_file(path: Path) -> bytes:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file completely, or not at all, by a temporary file that is moved into its place.
+    """Write a file completely, or not at all, by a temporary file that is moved into the file's place.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The file cannot be written, or the path leads to something other than a regular file.
     """
     if path.exists() and not path.is_file():
         raise FileExistsError(errno.EEXIST, "is no regular file", str(path))
@@ -136,15 +140,15 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def digest(key: str, program: bytes) -> bytes:
-    """The digest of a name and its program, with which the program's file begins."""
+    """Return the digest of a name and its program, with which the program's file begins."""
     return hashlib.sha256(key.encode() + b"\n" + program).digest()
 
 
 def cached(name: str, make: Callable[[], bytes]) -> bytes:
-    """The program of a name from the user's cache; if there is none, it is made and stored.
+    """Return the program of a name from the user's cache; if the cache has none, make the program and store it.
 
     Args:
-        name: Name that differs whenever anything differs on which the program depends.
+        name: Name of the program. It must differ whenever anything differs on which the program depends.
         make: Makes the program.
     """
     folder = cache_directory()
@@ -167,7 +171,7 @@ def warn_of_cache(folder: Path, reason: str) -> None:
 
     Args:
         folder: Folder of the cache.
-        reason: The system's reason.
+        reason: Why nothing can be stored, in the system's words.
     """
     if folder in UNUSABLE:
         return
@@ -177,7 +181,7 @@ def warn_of_cache(folder: Path, reason: str) -> None:
 
 
 def cache_directory() -> Path | None:
-    """The cache's folder; None if the user has disabled the cache, or has no home directory."""
+    """Return the cache's folder; None if the user has disabled the cache, or has no home directory."""
     if os.environ.get(CACHE_VARIABLE, "").lower() in OFF:
         return None
     try:

@@ -21,7 +21,7 @@ VERIFY_VARIABLE = "DSSC_JAX_VERIFY"
 
 
 class Packing(NamedTuple):
-    """The number of lanes in a vector and the order of operations, for programs of some size.
+    """The choice of the number of lanes in a vector and of the order of operations, for programs of a certain size.
 
     Args:
         operations: The packing is for programs with fewer operations than this.
@@ -49,7 +49,13 @@ MANY_XORS = 100
 
 
 class TracedLanes:
-    """The program of a lane and its text for LLVM; arguments as of :class:`dssc_jax.lanes.lanes.CompiledLanes`.
+    """The program of a lane and its text for LLVM.
+
+    Args:
+        lane: A function of trees of scalars.
+        arguments: Its arguments, with ``jax.ShapeDtypeStruct`` in place of each scalar.
+        width: Number of lanes in a vector; None: chosen by the size of the program and the processor.
+        strict: Whether products and sums are never contracted.
 
     Raises:
         Unsupported: An operation has no translation.
@@ -82,12 +88,12 @@ def lane_program(lane: Callable[..., Any], arguments: tuple[Any, ...], strict: b
 
 
 def signature_of(program: Program, results: Any, width: int, code: str) -> Signature:
-    """The signature of a program's machine code: all that a caller must know to run it.
+    """Return the signature of a program's machine code: all that a caller must know to run the code.
 
     Args:
         program: The program.
-        results: The tree of its results.
-        width: Lanes of a vector.
+        results: The tree of the lane's results.
+        width: Number of lanes in a vector.
         code: Name of the machine code in the cache.
     """
     outputs = []
@@ -99,13 +105,16 @@ def signature_of(program: Program, results: Any, width: int, code: str) -> Signa
 
 
 def check(program: Program) -> None:
-    """Verify a program if the environment asks for it, as the tests do; it costs a fifth of the translation's time."""
+    """Verify a program's form if the environment variable :data:`VERIFY_VARIABLE` is set, as it is in the tests.
+
+    The verification costs a fifth of the translation's time.
+    """
     if os.environ.get(VERIFY_VARIABLE):
         verify(program)
 
 
 def best_packing(program: Program) -> Packing:
-    """The fastest packing of a program on this processor, by the number of its operations, as measured."""
+    """Return the packing that measurements found fastest on this processor for programs of this size."""
     counts = operation_counts(program)
     operations = sum(counts.values())
     draws_random_numbers = counts.get("xor", 0) > MANY_XORS
@@ -115,9 +124,14 @@ def best_packing(program: Program) -> Packing:
 
 
 def register_use(program: Program, width: int) -> RegisterUse:
-    """How a program with vectors of so many lanes spares registers on this processor: not at all if it has many.
+    """Return how a program spares registers on this processor; a processor with many registers need not spare any.
 
-    If it has few, and a vector of lanes consists of 2, 4 or 8 hardware vectors, each of these is a piece.
+    On a processor with few registers, a vector of lanes that consists of 2, 4 or 8 hardware vectors is written in
+    pieces of one hardware vector each.
+
+    Args:
+        program: The program.
+        width: Number of lanes in a vector.
     """
     if not machine.has_near_constants():
         return MANY_REGISTERS
@@ -127,6 +141,6 @@ def register_use(program: Program, width: int) -> RegisterUse:
 
 
 def number_bits(program: Program) -> int:
-    """Bits of the longest input of a program, 32 or 64 for floats; 64 if the program has no input."""
+    """Return the number of bits of a program's longest input, 32 or 64 for floats; 64 if the program has no input."""
     most_bytes = max((dtype.itemsize for dtype in program.inputs), default=8)
     return 8 * most_bytes

@@ -10,9 +10,9 @@ class Unsupported(Exception):
     """An operation that has no translation.
 
     Args:
-        reason: The reason why it has none.
-        operation: The operation in quotes; empty: not yet known.
-        call: The place where the model calls it, from :func:`origin`; empty: not yet known.
+        reason: The reason why the operation has no translation.
+        operation: Name of the operation in quotes; empty: not yet known.
+        call: The place where the model calls the operation, from :func:`origin`; empty: not yet known.
     """
 
     def __init__(self, reason: str, operation: str = "", call: str = "") -> None:
@@ -23,10 +23,11 @@ class Unsupported(Exception):
         self.call = call
 
     def locate(self, equation: Any) -> "Unsupported":
-        """This error with the operation and the call of an equation, where it lacks them.
+        """Return this error, completed by the operation and the source line of an equation if it lacks them.
 
-        A call or a loop is an equation that contains others. Each level calls this method, from the inside out. The
-        first equation gives the operation. The first equation with a source line in a model gives the call.
+        A call or a loop is an equation that contains others. The translation of each of these levels calls this method,
+        from the inside out. The innermost equation gives the operation. The innermost equation with a source line in a
+        model gives the call.
         """
         if self.call:
             return self
@@ -35,7 +36,10 @@ class Unsupported(Exception):
 
 
 def origin(equation: Any) -> str:
-    """The place where a model calls an operation, as " in FUNCTION (FILE:LINE)"; empty if no model calls it."""
+    """Return the place where a model calls an operation, as " in FUNCTION (FILE:LINE)".
+
+    The text is empty if no line of a model led to the equation.
+    """
     traceback = getattr(getattr(equation, "source_info", None), "traceback", None)
     for frame in getattr(traceback, "frames", ()):  # innermost first
         if not any(part in frame.file_name for part in LIBRARY_PATHS):

@@ -26,7 +26,7 @@ def native_content(path: Path) -> bytes:
     """The content of a file of native code.
 
     Raises:
-        ConfigError: It cannot be read, or is too large.
+        ConfigError: The file cannot be read, or is larger than :data:`LARGEST_FILE`.
     """
     try:
         content = files.read_bytes(path, LARGEST_FILE + 1)  # one byte more tells that the file is too large
@@ -38,7 +38,11 @@ def native_content(path: Path) -> bytes:
 
 
 def native_digest(path: Path) -> str:
-    """SHA-256 digest of a file of native code, in hexadecimal; raises ConfigError as :func:`native_content`."""
+    """Return the SHA-256 digest of a file of native code, in hexadecimal.
+
+    Raises:
+        ConfigError: The file cannot be read, or is too large.
+    """
     return hashlib.sha256(native_content(path)).hexdigest()
 
 
@@ -86,11 +90,11 @@ def loaded_file(path: Path, content: bytes, digest: str) -> Native:
 
 
 def loaded_native(table: dict[str, object], requirement: str) -> Native:
-    """The native code that a study's table names by ``file`` and ``sha256``.
+    """Return the loaded native code that a study's table names by ``file`` and ``sha256``.
 
     Args:
         table: The table.
-        requirement: The kind of file that is needed, such as ``an FMU``, for messages.
+        requirement: The kind of file that is needed, such as "an FMU", for messages.
 
     Raises:
         ConfigError: The table names no file, or a file that :func:`allow_native` has not loaded.

@@ -1,7 +1,7 @@
 """The controllers that a shared object exports, read from their description in the layout of ``dssc_jax_library.h``.
 
-The *exchange* is the memory of a call: the controller's structure, then the signals, commands, telemetry and flag.
-*Places* are offsets in the exchange, in bytes.
+The *exchange* is the memory of a call. It contains the controller's structure, then the signals, commands, telemetry
+and flag. *Places* are offsets in the exchange [bytes].
 """
 
 import ctypes
@@ -81,9 +81,9 @@ class NativeNumber:
     """A parameter, a measured signal or a telemetry value of a controller in C.
 
     Args:
-        name: Its name.
+        name: Name in the description, which a study uses as well.
         quantity: Unit, meaning and range.
-        offset: Its place in the exchange [bytes].
+        offset: Place in the exchange [bytes].
     """
 
     name: str
@@ -96,20 +96,20 @@ class NativeController:
     """A controller of a shared object, as ``dssc_jax_controller`` describes it.
 
     Args:
-        name: The prefix of its functions.
-        sample_time: The sample time of its code [s].
-        number_size: Bytes of a number, 4 or 8.
-        size: Bytes of the controller, with which the exchange begins.
-        exchange_size: Bytes of the exchange.
+        name: Prefix of the names of the controller's functions.
+        sample_time: Sample time for which the code is written [s].
+        number_size: Size of a number [bytes], 4 or 8.
+        size: Size of the controller's structure, with which the exchange begins [bytes].
+        exchange_size: Size of the exchange [bytes].
         signals: Places of y, y', y_m, y_m', y_m''.
         commands: Places of u and u_n.
-        total: Place of u_p, their sum, which flies.
-        flag: Place of the step's flag.
+        total: Place of u_p = u + u_n, the command that flies.
+        flag: Place of the flag that a step sets.
         parameters: The parameters.
-        telemetry: The telemetry.
-        measured: The measured signals that it takes beside y and y', by their names in a study.
-        init: Address of the function that sets the parameters to their defaults. It takes the address of the exchange,
-            as the following functions do.
+        telemetry: The telemetry values.
+        measured: The measured signals that the controller takes beside y and y', by their names in a study.
+        init: Address of the function that sets the parameters to their defaults. This function and the following ones
+            take one argument, the address of the exchange.
         reset: Address of the function that begins a flight.
         step: Address of the function that computes a sample.
         step_without_telemetry: Address of the function that computes a sample without telemetry; None: there is none.
@@ -134,7 +134,7 @@ class NativeController:
 
     @property
     def dtype(self) -> np.dtype:
-        """The dtype of its numbers: float32 or float64."""
+        """The dtype of the controller's numbers: float32 or float64."""
         return np.dtype(f"f{self.number_size}")
 
     @property
@@ -147,7 +147,7 @@ def described_controllers(library: ctypes.CDLL) -> tuple[NativeController, ...]:
     """The controllers that a loaded library exports.
 
     Raises:
-        ConfigError: It exports none, or its description is not valid.
+        ConfigError: The library exports no controllers or too many, two have one name, or a description is not valid.
     """
     try:
         rows = (ctypes.POINTER(ControllerRow) * (MOST_CONTROLLERS + 1)).in_dll(library, SYMBOL)
@@ -166,7 +166,7 @@ def described_controllers(library: ctypes.CDLL) -> tuple[NativeController, ...]:
 
 
 def described_controller(row: ControllerRow) -> NativeController:
-    """The controller that a row describes.
+    """Return the controller that a row of C describes, after checks of the description.
 
     Raises:
         ConfigError: The description is not valid.
@@ -207,7 +207,7 @@ def require_consistent(controller: NativeController, row: ControllerRow) -> None
         row: Its description in C.
 
     Raises:
-        ConfigError: One of them is not possible.
+        ConfigError: A size, place or address is not possible.
     """
     rows = [*row.parameters[: row.parameter_count], *row.telemetry[: row.telemetry_count]]
     rows += row.measured[: row.measured_count]
@@ -232,7 +232,7 @@ def require_consistent(controller: NativeController, row: ControllerRow) -> None
 
 
 def require_measured(controller: NativeController, row: ControllerRow) -> None:
-    """Require that the measurement in C has no members beside y, y' and the declared signals: they would stay 0.
+    """Require that the measurement in C has only the members y, y' and the declared signals; others would stay 0.
 
     Args:
         controller: The controller that was read.
@@ -254,10 +254,10 @@ def require_measured(controller: NativeController, row: ControllerRow) -> None:
 
 
 def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count: int) -> tuple[NativeNumber, ...]:
-    """The numbers in one table of a controller's description: parameters, telemetry, or measured signals.
+    """Return the numbers in one table of a controller's description: parameters, telemetry, or measured signals.
 
-    In the table, an infinite bound means that there is no bound. A lower bound just above zero means that zero is
-    excluded.
+    In the table, an infinite bound means that there is no bound. A lower bound of at most :data:`TINY` above 0 means
+    that the number must be positive.
 
     Args:
         controller: Name of the controller, for messages.
@@ -286,5 +286,5 @@ def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count
 
 
 def text_of(content: bytes | None) -> str:
-    """A string of C as text, empty for NULL; bytes that are not UTF-8 are replaced."""
+    """Return a string of C as text, empty for NULL; bytes that are not UTF-8 become replacement characters."""
     return (content or b"").decode("utf-8", "replace")

@@ -1,7 +1,7 @@
 """Functional mock-up units (FMU): the calls of co-simulation in FMI 2.0 and 3.0.
 
-FMPy reads an FMU, unpacks it and loads its library. The calls of a step go from here to that library directly, with
-arrays that stay in place, because they are made once for each sample of each draw.
+FMPy reads an FMU, unpacks it and loads its library. The calls of a step go from here directly to that library, with
+arrays that stay in place, because such a call is made for each sample of each draw.
 
 References:
     Functional Mock-up Interface Specification, versions 2.0.4 (sections 2.1 and 4.2) and 3.0.1 (section 4).
@@ -33,7 +33,7 @@ StatusCall = Callable[..., int]
 
 
 class Fmpy(NamedTuple):
-    """The modules of FMPy."""
+    """The modules of FMPy: the package itself, and its calls of FMI 2.0 and 3.0."""
 
     package: ModuleType
     fmi2: ModuleType
@@ -67,7 +67,11 @@ class FmiCalls(ABC):
     "The last message of the FMU; empty before the first."
 
     def note(self, *message: object) -> None:
-        """Keep the text of a message that the FMU logs: the last of the arguments of its call."""
+        """Keep the text of a message that the FMU logs.
+
+        Args:
+            message: All arguments of the FMU's call of its logger, of which the last one is the text.
+        """
         text = message[-1]
         self.last_message = text.decode("utf-8", "replace") if isinstance(text, bytes) else ""
 
@@ -76,7 +80,7 @@ class FmiCalls(ABC):
         """Make a new instance, and return its address.
 
         Raises:
-            FmiError: The library makes none.
+            FmiError: The library makes no instance.
         """
 
     @abstractmethod
@@ -89,7 +93,7 @@ class FmiCalls(ABC):
 
     @abstractmethod
     def step(self, instance: int, t: float, h: float) -> bool:
-        """Make the step from t to t + h [s]; return whether it succeeded and the instance may go on."""
+        """Make the step from t to t + h [s]; return whether the step succeeded and the instance may continue."""
 
     @abstractmethod
     def free(self, instance: int) -> None:
@@ -104,23 +108,23 @@ def require_success(function: str, status: int) -> None:
     """Require that a call of an FMU has succeeded.
 
     Args:
-        function: The function that was called, for the message.
-        status: The status that it returned.
+        function: Name of the function that was called, for the message.
+        status: The status that the function returned.
 
     Raises:
-        FmiError: The status tells a failure.
+        FmiError: The status is above :data:`WARNING`.
     """
     if status > WARNING:
         raise FmiError(f"{function} fails with status {status}")
 
 
 def status_function(library: ctypes.CDLL, name: str, *types: type) -> StatusCall:
-    """A function of an FMU's library that returns a status, as a function of Python.
+    """Return a function of an FMU's library that returns a status, in a form that Python can call.
 
     Args:
         library: The library.
         name: Name of the function.
-        types: Types of its arguments in C.
+        types: Types of the function's arguments in C.
     """
     return ctypes.CFUNCTYPE(ctypes.c_int, *types)((name, library))
 
@@ -165,7 +169,7 @@ class Fmi2Calls(FmiCalls):
         self._step = status_function(functions, "fmi2DoStep", ADDRESS, REAL, REAL, FLAG)
 
     def instantiate(self, name: str) -> int:
-        """Make a new instance, and return its address."""
+        """Make a new instance, and return its address; raise FmiError if the library makes none."""
         co_simulation = 1
         visible = 0
         logging = 0
@@ -178,7 +182,7 @@ class Fmi2Calls(FmiCalls):
         return instance
 
     def initialise(self, instance: int) -> None:
-        """Start an instance at t = 0, without tolerance and end."""
+        """Start an instance at t = 0, without a tolerance and without an end time; raise FmiError if a call fails."""
         # each flag 0 tells that the number behind it is not defined
         tolerance = 0, 0.0
         stop = 0, 0.0
@@ -188,7 +192,7 @@ class Fmi2Calls(FmiCalls):
         require_success("fmi2ExitInitializationMode", self._exit(instance))
 
     def step(self, instance: int, t: float, h: float) -> bool:
-        """Make the step from t to t + h [s]; return whether it succeeded."""
+        """Make the step from t to t + h [s]; return whether the step succeeded."""
         is_final_at_t = 1  # no earlier state will be asked for
         return self._step(instance, t, h, is_final_at_t) <= WARNING
 
@@ -226,7 +230,7 @@ class Fmi3Calls(FmiCalls):
         self._step = status_function(functions, "fmi3DoStep", ADDRESS, REAL, REAL, TRUTH, *outcome_types)
 
     def instantiate(self, name: str) -> int:
-        """Make a new instance, and return its address."""
+        """Make a new instance, and return its address; raise FmiError if the library makes none."""
         options = (False, False, False, False)  # visible, logging, event mode, early return
         instance = self._slave.fmi3InstantiateCoSimulation(
             name.encode(),
@@ -244,7 +248,7 @@ class Fmi3Calls(FmiCalls):
         return instance
 
     def initialise(self, instance: int) -> None:
-        """Start an instance at t = 0, without tolerance and end."""
+        """Start an instance at t = 0, without a tolerance and without an end time; raise FmiError if a call fails."""
         # each flag False tells that the number behind it is not defined
         tolerance = False, 0.0
         stop = False, 0.0
@@ -253,7 +257,7 @@ class Fmi3Calls(FmiCalls):
         require_success("fmi3ExitInitializationMode", self._exit(instance))
 
     def step(self, instance: int, t: float, h: float) -> bool:
-        """Make the step from t to t + h [s]; return whether it succeeded and the instance has not asked for the end."""
+        """Make the step from t to t + h [s]; return whether the step succeeded and the instance asks for no end."""
         has_event = TRUTH(False)
         is_ended = TRUTH(False)
         is_early = TRUTH(False)

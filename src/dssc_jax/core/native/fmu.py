@@ -22,7 +22,7 @@ ZIP = b"PK\x03\x04"
 """The first bytes of an FMU, which is a zip archive."""
 
 UNPACKED = ExitStack()
-"""The folders of FMUs, which their libraries may read as long as the process runs."""
+"""The folders of unpacked FMUs, which stay until the process ends because the FMUs' libraries may read them."""
 
 atexit.register(UNPACKED.close)
 
@@ -44,9 +44,9 @@ class FmuVariable:
         name: Name in the FMU.
         reference: Value reference.
         quantity: Unit, meaning and range; the unit is empty if this package cannot read it.
-        causality: ``parameter``, ``input``, ``output``, ``local`` and so on.
+        causality: FMI's causality: ``parameter``, ``input``, ``output``, ``local`` and so on.
         start: Start value; None: the FMU states none.
-        settable: Whether a study may set its value before t = 0: a parameter, an input or an exact initial value.
+        settable: Whether a study may set the value before t = 0: for a parameter, an input or an exact initial value.
     """
 
     name: str
@@ -62,14 +62,14 @@ class NativeFmu:
     """A loaded FMU for co-simulation.
 
     Args:
-        file: Path of the file that it was read from.
-        sha256: Digest of the file's content.
-        version: Version of FMI.
-        model: Name of its model.
+        file: Path of the file from which the FMU was read.
+        sha256: SHA-256 digest of the file's content, in hexadecimal.
+        version: Version of FMI, a key of :data:`~dssc_jax.core.native.fmi.VERSIONS`.
+        model: Name of the FMU's model.
         variables: The scalar real variables by name.
         unusable: Description of every other variable by name, such as ``of type Boolean`` or ``an array of Real``.
-        step_size: Step of the default experiment [s]; None: the FMU states none.
-        calls: The functions of its library.
+        step_size: Step of the FMU's default experiment [s]; None: the FMU states none.
+        calls: The functions of the FMU's library.
     """
 
     file: str
@@ -82,19 +82,19 @@ class NativeFmu:
     calls: FmiCalls = field(compare=False, repr=False)
 
     def __hash__(self) -> int:
-        """The hash of the content's digest, since mappings have none."""
+        """Return the hash of the content's digest, because the mappings among the fields have no hash."""
         return hash(self.sha256)
 
     def variable(self, name: object, place: str, causality: str) -> FmuVariable:
         """Find a variable by its name in the FMU.
 
         Args:
-            name: The name.
-            place: Field of the study that names it, for messages.
+            name: The name in the FMU; anything but a text is refused.
+            place: Field of the study that names the variable, for messages.
             causality: The causality that the variable must have.
 
         Raises:
-            ConfigError: There is no such variable, it is no scalar real number, or it has another causality.
+            ConfigError: The FMU has no such variable, or the variable is no scalar real one or has another causality.
         """
         if not isinstance(name, str):
             raise ConfigError(place, f"must be the name of a variable of '{self.file}', got {name!r}")
@@ -111,11 +111,11 @@ class NativeFmu:
         return variable
 
     def names_with(self, causality: str) -> list[str]:
-        """The names of the scalar real variables that have a causality."""
+        """Return the names of the scalar real variables that have a causality, such as ``input``."""
         return [name for name, variable in self.variables.items() if variable.causality == causality]
 
     def references_with(self, causality: str) -> list[int]:
-        """The value references of the scalar real variables that have a causality, in the same order."""
+        """The value references of the scalar real variables that have a causality, in the order of ``names_with``."""
         return [variable.reference for variable in self.variables.values() if variable.causality == causality]
 
     def parameter(self, name: str, place: str) -> FmuVariable:
@@ -123,10 +123,10 @@ class NativeFmu:
 
         Args:
             name: The name in the study.
-            place: Field of the study that names it, for messages.
+            place: Field of the study that names the variable, for messages.
 
         Raises:
-            ConfigError: There is no such variable, or its value cannot be set.
+            ConfigError: The FMU has no such variable, or the variable cannot be set.
         """
         by_field = {field_name(variable_name): variable_name for variable_name in (*self.variables, *self.unusable)}
         variable_name = by_field.get(name)
@@ -142,7 +142,12 @@ class NativeFmu:
         return variable
 
     def _no_parameter(self, name: str, by_field: Mapping[str, str]) -> str:
-        """The message about a name in a study that is no variable's; ``by_field``: the variables by such names."""
+        """Return the message about a name in a study that belongs to no variable.
+
+        Args:
+            name: The name in the study.
+            by_field: Name in the FMU of each variable, by its name in a study.
+        """
         expected_name = field_name(name)
         if expected_name in by_field:
             return f"must be written {expected_name} for the FMU's variable '{by_field[expected_name]}'"
@@ -152,7 +157,7 @@ class NativeFmu:
 
 
 def field_name(name: str) -> str:
-    """The name in a study of an FMU's variable: ``body.m[1]`` becomes ``body_m_1``."""
+    """Return the name that an FMU's variable has in a study: ``body.m[1]`` becomes ``body_m_1``."""
     with_underscores = re.sub(r"\W", "_", name, flags=re.ASCII)
     return re.sub(r"_+", "_", with_underscores).strip("_")
 
@@ -171,8 +176,8 @@ def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
         digest: SHA-256 digest of the content.
 
     Raises:
-        ConfigError: FMPy is missing, or the FMU cannot run here: it is damaged, has no co-simulation, another version
-            of FMI, or no library for this machine, or a process may have only one instance of it.
+        ConfigError: FMPy is missing, or the FMU cannot run here. Such an FMU is damaged, has no co-simulation, another
+            version of FMI or no library for this machine, needs its tool, or allows a process only one instance.
     """
     with ExitStack() as stack:
         place = Path(stack.enter_context(TemporaryDirectory(prefix="dssc-jax-fmu-")))
@@ -182,7 +187,17 @@ def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
 
 
 def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> NativeFmu:
-    """Unpack an FMU into a folder and load its library; further arguments and errors as for :func:`loaded_fmu`."""
+    """Unpack an FMU into a folder and load its library.
+
+    Args:
+        path: The file, for messages.
+        content: The file's content.
+        digest: SHA-256 digest of the content.
+        place: The folder.
+
+    Raises:
+        ConfigError: FMPy is missing, or the FMU cannot run here; see :func:`loaded_fmu`.
+    """
     modules = fmpy()
     archive = place / "archive.fmu"
     files.write_bytes(archive, content, durable=False)
@@ -219,12 +234,12 @@ def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> Native
 
 
 def unreadable(path: Path, error: Exception) -> ConfigError:
-    """The error for a file that is no FMU, or a damaged FMU, from FMPy's error."""
+    """Return the error for a file that is no FMU or a damaged one, with the text of FMPy's error."""
     return ConfigError("file", f"'{path}' is no FMU that can be read: {first_lines(error)}")
 
 
 def scalar_variables(description: "ModelDescription") -> tuple[dict[str, FmuVariable], dict[str, str]]:
-    """The scalar real variables of an FMU by name, and the descriptions of all other variables by name."""
+    """Return the scalar real variables of an FMU by name, and descriptions of all other variables by name."""
     variables = {}
     unusable = {}
     for variable in description.modelVariables:
@@ -238,7 +253,7 @@ def scalar_variables(description: "ModelDescription") -> tuple[dict[str, FmuVari
 
 
 def required_version(path: Path, text: str) -> str:
-    """The version of FMI that an FMU has, as a key of :data:`VERSIONS`.
+    """Return the version of FMI that an FMU has, as a key of :data:`VERSIONS`.
 
     Args:
         path: The file, for messages.
@@ -259,7 +274,7 @@ def require_co_simulation(path: Path, description: "ModelDescription") -> None:
     """Require that an FMU has co-simulation, may have many instances, and runs without its tool.
 
     Raises:
-        ConfigError: One of the three does not hold.
+        ConfigError: The FMU lacks co-simulation, allows a process only one instance, or needs its tool.
     """
     simulation = description.coSimulation
     if simulation is None:
@@ -284,7 +299,7 @@ def require_library(path: Path, description: "ModelDescription", unpacked: Path,
         platforms: Names of this machine's platform, in FMI 2.0 and 3.0.
 
     Raises:
-        ConfigError: There is no such library.
+        ConfigError: The FMU has no such library.
     """
     name = description.coSimulation.modelIdentifier  # type: ignore[union-attr]
     binaries = unpacked / "binaries"
@@ -299,7 +314,10 @@ def require_library(path: Path, description: "ModelDescription", unpacked: Path,
 
 
 def described_variable(variable: "ModelVariable") -> FmuVariable:
-    """A scalar real variable of an FMU, from FMPy's description; its declared type may give unit and range."""
+    """Return a scalar real variable of an FMU, given FMPy's description of it.
+
+    Where the variable has no unit or bound of its own, those of its declared type hold.
+    """
     declared_type = variable.declaredType
     unit = readable_unit(variable.unit or getattr(declared_type, "unit", None) or "")
     low = bound(variable.min or getattr(declared_type, "min", None))
@@ -317,12 +335,12 @@ def described_variable(variable: "ModelVariable") -> FmuVariable:
 
 
 def bound(text: str | None) -> float | None:
-    """A bound of a variable's range as a number; None: there is none."""
+    """Return a bound of a variable's range as a number; None if there is no bound."""
     return None if text is None else float(text)
 
 
 def readable_unit(text: str) -> str:
-    """A unit in the form of this package: ``N.m/s2`` becomes ``N m/s^2``; empty if it cannot be read."""
+    """Return a unit in the form of this package, ``N m/s^2`` for ``N.m/s2``; empty if the unit cannot be read."""
     factors = text.replace(".", " ")
     unit = re.sub(r"([^\W\d_])(-?\d+)", r"\1^\2", factors)  # s^2 for s2
     try:
@@ -333,12 +351,15 @@ def readable_unit(text: str) -> str:
 
 
 def first_lines(error: BaseException) -> str:
-    """The first two lines of an error's text, in one; validation names the rule in the second."""
+    """Return the first two lines of an error's text as one line; FMPy's validation names the rule in the second.
+
+    An error without text gives the name of its type.
+    """
     lines = str(error).strip().splitlines()
     return " ".join(line.strip() for line in lines[:2]) or type(error).__name__
 
 
 def failure(fmu: NativeFmu, error: FmiError) -> ConfigError:
-    """The error for an FMU that fails before any draw is flown, with the last message of the FMU."""
+    """Return the error for an FMU that fails before any draw is flown, with the last message that the FMU logged."""
     last_message = f": {fmu.calls.last_message}" if fmu.calls.last_message else ""
     return ConfigError("file", f"'{fmu.file}' cannot be started: {error}{last_message}")

@@ -1,12 +1,13 @@
 """Instances of an FMU, one for each draw, and the functions by which lanes start and step them.
 
-An instance has hidden state, so a step is no pure function. A lane therefore carries a handle and the number of steps
-that were made. A step is made only if this number is the one that the instance has reached, so no step can be repeated
-or left out unnoticed. The instance begins at the start of the draw, with the draw's parameters, and no other lane has
-its handle. So a draw's numbers depend neither on other draws nor on the order or the number of threads.
+An instance has hidden state, so a step is no pure function. A lane therefore carries a handle, which identifies its
+instance, and the number of steps that it has made. A step is made only if this number equals the one that the instance
+has reached, so no step can be repeated or left out unnoticed. The instance begins at the start of the draw, with the
+draw's parameters, and no other lane has its handle. So the numbers of a draw depend neither on other draws nor on the
+order or the number of threads.
 
-An instance that fails, or that gets an input that is not finite, is freed; all its further outputs are NaN, and the
-draw ends as one that diverges.
+An instance that fails, or that gets an input that is not finite, is freed. All further outputs of the draw are NaN, and
+the draw ends as one that diverges.
 """
 
 import ctypes
@@ -31,14 +32,14 @@ from dssc_jax.lanes import foreign
 from dssc_jax.lanes.foreign import ForeignFunction, MemoryPlace, call
 
 MOST_INSTANCES = 1 << 15
-"""Largest number of instances of an FMU at once; at a new draw beyond it, the oldest instance is freed."""
+"""Largest number of instances of an FMU at once; a new draw beyond this number frees the oldest instance."""
 
 MOST_HANDLES = 1 << 32
 NO_INSTANCE = 0
 """The handle of a draw whose instance has failed."""
 
 HEAD = 16
-"""Bytes before the numbers of a call: two words, and the length of a step."""
+"""Bytes before the numbers in the memory of a call: two words of 4 bytes, and the length of a step in 8 bytes."""
 
 NUMBER = 8  # bytes of a float64
 WORD = np.dtype(np.uint32)
@@ -70,9 +71,10 @@ class FmuPorts:
     outputs: tuple[int, ...]
 
     def symbol(self, function: str) -> str:
-        """The name by which compiled lanes call a function of the FMU's instances.
+        """Return the name by which compiled lanes call a function of the FMU's instances.
 
-        It contains digests of the FMU's content and of the ports, so that compiled lanes call no other FMU's function.
+        The name contains digests of the FMU's content and of the ports, so that compiled lanes cannot call a function
+        of another FMU, or of the same FMU with other ports.
         """
         ports = repr((self.parameters, self.inputs, self.outputs)).encode()
         ports_digest = hashlib.sha256(ports).hexdigest()[:16]
@@ -83,8 +85,8 @@ class Instance:
     """A running instance, which counts the steps that it has made.
 
     Args:
-        address: Its address in the FMU's library.
-        steps: Number of steps of its flight.
+        address: Address of the instance in the FMU's library.
+        steps: Number of steps of the whole flight, after which the instance is freed.
     """
 
     __slots__ = ("address", "step_count", "steps")
@@ -104,7 +106,7 @@ class Instances:
     """
 
     def __init__(self, ports: FmuPorts) -> None:
-        """Begin without instances; arrays and layouts of the calls are made once."""
+        """Begin without instances, and make the arrays and layouts of all calls."""
         self.ports = ports
         self.calls = ports.fmu.calls
         self._running: OrderedDict[int, Instance] = OrderedDict()  # by handle, the oldest first
@@ -124,11 +126,11 @@ class Instances:
         }
 
     def start(self, memory: int) -> None:
-        """Begin a draw; called by compiled lanes.
+        """Begin a draw with an instance of its own; compiled lanes call this method.
 
         Args:
-            memory: Address of the call's memory. It holds a word, the number of steps and the parameters; afterwards it
-                holds the handle, a step count of 0 and the outputs.
+            memory: Address of the call's memory. Before the call it holds a word without meaning, the number of steps
+                and the parameters; afterwards, the handle, a step count of 0 and the outputs.
         """
         _, steps = self._start_head.unpack(ctypes.string_at(memory, self._start_head.size))
         outputs = memory + HEAD + NUMBER * len(self._parameters)
@@ -146,11 +148,11 @@ class Instances:
         ctypes.memmove(memory, self._start_head.pack(handle, 0), self._start_head.size)
 
     def step(self, memory: int) -> None:
-        """Make a step; called by compiled lanes.
+        """Make a step of a draw's instance; compiled lanes call this method.
 
         Args:
-            memory: Address of the call's memory. It holds handle, step count, length of the step and inputs; afterwards
-                it holds the handle, the new step count and the outputs.
+            memory: Address of the call's memory. Before the call it holds the handle, the step count, the length of the
+                step [s] and the inputs; afterwards, the handle, the new step count and the outputs.
         """
         handle, step_count, h, *inputs = self._step_head.unpack(ctypes.string_at(memory, self._step_head.size))
         outputs = memory + HEAD + NUMBER * len(self._inputs)
@@ -162,7 +164,7 @@ class Instances:
     def _try_step(
         self, handle: int, step_count: int, h: float, inputs: Sequence[float], memory: int, outputs: int
     ) -> bool:
-        """Make a step and write its outputs, or free an instance that fails; return whether it succeeded.
+        """Make a step and write its outputs, or free an instance that fails; return whether the step succeeded.
 
         Args:
             handle: Handle of the instance.
@@ -194,9 +196,11 @@ class Instances:
         return True
 
     def _instance_at(self, handle: int, step_count: int) -> Instance | None:
-        """The instance of a handle if it has made as many steps as the lane; else None, with a note of a fault.
+        """Return the instance of a handle if it has made as many steps as the lane; else None.
 
-        The last sample of a draw that has ended is computed again. This is no fault, since its results are not read.
+        A lane that is one step behind computes the last sample of an ended draw again. This is no fault, because the
+        results of that sample are not read. Any other difference is noted as a fault, as is an instance that was freed
+        to make room. A handle without an instance for another reason belongs to a draw that failed.
         """
         instance = self._running.get(handle)
         if instance is None:
@@ -216,7 +220,7 @@ class Instances:
         """Make an instance, set its parameters and start it at t = 0; return its address.
 
         Args:
-            parameters: Address of the parameters' values in memory.
+            parameters: Address of the values of the parameters in the memory of the call.
 
         Raises:
             FmiError: A call fails.
@@ -233,16 +237,16 @@ class Instances:
         return address
 
     def _read(self, address: int, outputs: int) -> None:
-        """Write the outputs of the instance at ``address`` to memory at ``outputs``; raises FmiError if that fails."""
+        """Write the outputs of the instance at ``address`` to memory at ``outputs``; raise FmiError if that fails."""
         require_success("get", self.calls.get_reals(address, self._outputs, len(self._outputs), outputs))
 
     def _register(self, instance: Instance) -> int:
-        """Store a new instance, and return its handle; beyond :data:`MOST_INSTANCES` the oldest one is freed."""
+        """Store a new instance, and return its handle; free the oldest if there are :data:`MOST_INSTANCES` already."""
         while len(self._running) >= MOST_INSTANCES:
             oldest, dropped = self._running.popitem(last=False)
             self._dropped.add(oldest)
             self.calls.free(dropped.address)
-        self._last = self._last % (MOST_HANDLES - 1) + 1
+        self._last = self._last % (MOST_HANDLES - 1) + 1  # 1, 2, ..., 2^32 - 1, 1, ...: never NO_INSTANCE
         self._running[self._last] = instance
         return self._last
 
@@ -255,7 +259,7 @@ class Instances:
     def _free_finished(self) -> None:
         """Free the instances whose flights have made all their steps.
 
-        This happens when a new draw begins, since the last step may be asked for twice.
+        They are kept until a new draw begins, because a lane may ask for the last step twice.
         """
         while self._finished:
             self._close(self._finished.pop())
@@ -274,10 +278,10 @@ def note_fault(ports: FmuPorts, rule: str) -> None:
 
 
 def require_no_faults() -> None:
-    """Require that every FMU has made its steps once and in order; called after a batch of lanes.
+    """Require, after a batch of lanes, that every FMU has made its steps once and in order.
 
     Raises:
-        ConfigError: An FMU has not, so the results are not valid.
+        ConfigError: :data:`FAULTS` has an entry, so the results are not valid. The list is emptied.
     """
     if FAULTS:
         text = FAULTS.pop()
@@ -286,7 +290,7 @@ def require_no_faults() -> None:
 
 
 def references(places: Sequence[int]) -> ctypes.Array[ctypes.c_uint]:
-    """Value references of an FMU's variables as an array of C."""
+    """Return value references of an FMU's variables as an array of C."""
     return (ctypes.c_uint * len(places))(*places)
 
 
@@ -305,10 +309,11 @@ class FmuFunctions:
         self._step = foreign_function(ports, "step", step_head, len(ports.inputs))
 
     def start(self, lane: Scalar, steps: int, parameters: Sequence[Scalar]) -> tuple[Words, list[jax.Array]]:
-        """Start an instance; return its words, handle and step count, and its outputs at t = 0.
+        """Start an instance; return its words, which are handle and step count, and its outputs at t = 0.
 
         Args:
-            lane: A traced word that differs from draw to draw, so that each draw makes the call.
+            lane: A traced word that differs from draw to draw. It has no other effect than that each draw makes a call
+                of its own.
             steps: Number of steps of the flight.
             parameters: Values of the ports' parameters.
 
@@ -319,10 +324,10 @@ class FmuFunctions:
         return (handle, step_count), outputs
 
     def step(self, words: Sequence[Scalar], h: Scalar, inputs: Sequence[Scalar]) -> tuple[Words, list[jax.Array]]:
-        """Make a step; return the words after it, and the outputs.
+        """Make a step; return the words and the outputs after the step.
 
         Args:
-            words: The words before the step.
+            words: Handle and step count before the step.
             h: Length of the step [s].
             inputs: Values of the ports' inputs, constant over the step.
 
@@ -334,9 +339,9 @@ class FmuFunctions:
 
 
 def foreign_function(ports: FmuPorts, name: str, head_places: tuple[MemoryPlace, ...], numbers: int) -> ForeignFunction:
-    """A function of an FMU's instances that lanes can call.
+    """Return a function of an FMU's instances in the form that lanes can call, and register it if it is new.
 
-    Its memory holds the head of :data:`HEAD` bytes, the numbers and the outputs.
+    The memory of a call holds a head of :data:`HEAD` bytes, then the numbers, then the outputs.
 
     Args:
         ports: The FMU and its connected variables.
@@ -356,12 +361,12 @@ def foreign_function(ports: FmuPorts, name: str, head_places: tuple[MemoryPlace,
 
 @cache
 def instances_of(ports: FmuPorts) -> Instances:
-    """The instances of an FMU with these ports; one object for the whole process, since compiled lanes call it."""
+    """Return the instances of an FMU with these ports; compiled lanes refer to them, so a process has one object."""
     return Instances(ports)
 
 
 def call_in_double(function: ForeignFunction, *operands: Scalar) -> list[jax.Array]:
-    """The results of a call of an FMU's function, which takes float64.
+    """Call an FMU's function, which takes float64 numbers, and return its results.
 
     Raises:
         ConfigError: The loop computes in 32 bits.
@@ -372,5 +377,5 @@ def call_in_double(function: ForeignFunction, *operands: Scalar) -> list[jax.Arr
 
 
 def empty_words() -> Words:
-    """The words of a draw whose instance has not been started."""
+    """Return the handle and step count of a draw whose instance has not been started."""
     return jnp.uint32(NO_INSTANCE), jnp.uint32(0)

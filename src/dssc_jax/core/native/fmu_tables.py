@@ -40,7 +40,7 @@ class Connection(NamedTuple):
 
 
 def fmu_of(table: TomlTable) -> NativeFmu:
-    """The FMU that a table names by file and digest.
+    """Return the loaded FMU that a table names by file and digest.
 
     Raises:
         ConfigError: The FMU is not loaded, or the file is a shared object.
@@ -52,7 +52,7 @@ def fmu_of(table: TomlTable) -> NativeFmu:
 
 
 def connection(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> Connection:
-    """The connection of one signal, which a study must state.
+    """Return the connection of one signal that a study must connect.
 
     Args:
         fmu: The FMU.
@@ -71,7 +71,7 @@ def connection(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> Co
 
 
 def connections(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> tuple[Connection, ...]:
-    """The connections that an inner table states, whose keys are signals and whose values are variables.
+    """Return the connections of an inner table, whose keys are signals and whose values are names of variables.
 
     Args:
         fmu: The FMU.
@@ -80,7 +80,7 @@ def connections(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> t
         causality: Causality that the variables must have.
 
     Raises:
-        ConfigError: It is no table, or names a variable that does not exist or has another causality.
+        ConfigError: The entry is no table, or names a variable that does not exist or has another causality.
     """
     names = table.get(key, {})
     if not isinstance(names, Mapping):
@@ -106,22 +106,26 @@ def require_distinct(connected: Iterable[Connection]) -> None:
 
 
 def reported_outputs(fmu: NativeFmu, table: TomlTable) -> tuple[Connection, ...]:
-    """The additional outputs of an FMU that a study reports, sorted by name; errors as for :func:`connections`."""
+    """Return the further outputs of an FMU that a study reports, sorted by name.
+
+    Raises:
+        ConfigError: The entry ``outputs`` is no table, or names a variable that is no output of the FMU.
+    """
     return tuple(sorted(connections(fmu, table, "outputs", OUTPUT)))
 
 
 def named_signals(connected: Iterable[Connection]) -> tuple[NamedSignal, ...]:
-    """The connected signals with the units and meanings of their variables."""
+    """Return the connected signals, with the units and meanings of their variables."""
     return tuple(NamedSignal.of(signal, variable.quantity) for signal, variable in connected)
 
 
 def value_references(connected: Iterable[Connection]) -> tuple[int, ...]:
-    """The numbers by which the FMU knows the connected variables, in their order."""
+    """Return the value references of the connected variables: the numbers by which the FMU identifies them."""
     return tuple(variable.reference for _, variable in connected)
 
 
 def parameter_connections(fmu: NativeFmu, table: TomlTable, connected: Iterable[Connection]) -> tuple[Connection, ...]:
-    """The variables that a study sets once, before t = 0.
+    """Return the connections of the variables that a study sets once, before t = 0, in its table ``parameters``.
 
     Args:
         fmu: The FMU.
@@ -147,12 +151,12 @@ def parameter_connections(fmu: NativeFmu, table: TomlTable, connected: Iterable[
 
 
 def params_type(parameters: tuple[Connection, ...], name: str, quantity: Quantity, default: float | None) -> Any:
-    """The NamedTuple type of the parameters of a plant or controller that is an FMU.
+    """Return the NamedTuple type of the parameters of a plant or controller that is an FMU.
 
     Args:
-        parameters: The FMU's parameters that the study sets, which become the field ``parameters``; empty: there is no
-            such field.
-        name: Name of the number that the study needs beside these.
+        parameters: The FMU's parameters that the study sets. They become the field ``parameters``, itself a NamedTuple;
+            empty: there is no such field.
+        name: Name of the one further number of the type.
         quantity: Unit and meaning of this number.
         default: Default of this number; None: it may be absent.
     """
@@ -160,10 +164,10 @@ def params_type(parameters: tuple[Connection, ...], name: str, quantity: Quantit
         return named_type("Params", {name: quantity}, {name: default})
     inner = named_type("Parameters", {signal: variable.quantity for signal, variable in parameters}, {})
     combined_type = named_type("Params", {PARAMETERS: quantity, name: quantity}, {PARAMETERS: None, name: default})
-    combined_type.__annotations__[PARAMETERS] = inner
+    combined_type.__annotations__[PARAMETERS] = inner  # in place of the quantity, which only made the field
     return combined_type
 
 
 def values_of(params: Params) -> tuple[Scalar, ...]:
-    """The values of the FMU's parameters that a study sets, in the order of its table."""
+    """Return the values of the FMU's parameters that a study sets, in the order of its table; () if it sets none."""
     return tuple(getattr(params, PARAMETERS, ()))

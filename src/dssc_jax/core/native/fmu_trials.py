@@ -1,4 +1,4 @@
-"""Trial flights of an FMU, which find one that keeps numbers outside of its instances."""
+"""Trial flights, which find out whether an FMU keeps numbers outside of its instances."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -19,7 +19,8 @@ TRIAL_STEP = 0.01
 def require_independent(fmu: NativeFmu) -> None:
     """Require that an FMU starts, and that two instances of it do not disturb each other.
 
-    Two trial flights must give the same bits one after the other as in turn, step by step.
+    Two trial flights must give the same bits whether they run one after the other or in turn, step by step. The first
+    flight must give the same bits again when it is repeated.
 
     Raises:
         ConfigError: The FMU does not start, or its instances disturb each other.
@@ -41,10 +42,10 @@ def trial_outputs(fmu: NativeFmu, flights: Sequence[int]) -> list[bytes]:
 
     Args:
         fmu: The FMU.
-        flights: Numbers of the flights, from which their inputs follow.
+        flights: Numbers of the flights; the inputs of a flight depend on its number.
 
     Returns:
-        The bits of all outputs of each flight until its step fails.
+        The bits of all outputs of each flight, up to its first step that fails.
 
     Raises:
         FmiError: An instance does not start.

@@ -1,4 +1,4 @@
-"""Shared objects with controllers in C: loading, and trial flights that find code which cannot be analysed."""
+"""Shared objects with controllers in C: loading, and trial flights that detect code which cannot be analysed."""
 
 import ctypes
 from dataclasses import dataclass
@@ -26,9 +26,9 @@ class NativeLibrary:
     """A loaded shared object.
 
     Args:
-        file: Path of the file that it was read from.
-        sha256: Digest of the file's content.
-        controllers: The controllers that it exports.
+        file: Path of the file from which the shared object was read.
+        sha256: SHA-256 digest of the file's content, in hexadecimal.
+        controllers: The controllers that the shared object exports.
     """
 
     file: str
@@ -71,15 +71,22 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
 
 
 def symbol_of(library: NativeLibrary, controller: NativeController, function: str) -> str:
-    """The name by which compiled lanes call a function of a controller.
+    """Return the name by which compiled lanes call a function of a controller.
 
-    It contains the digest of the library's content, so that compiled lanes call no other library's function.
+    The name contains the digest of the library's content, so that compiled lanes call no other library's function.
     """
     return f"dssc_jax_{library.sha256}_{controller.name}_{function}"
 
 
 def provide_function(library: NativeLibrary, controller: NativeController, function: str, address: int) -> str:
-    """Register a function of a library, so that lanes can call it; return its symbol."""
+    """Register a function of a library, so that lanes can call it; return its symbol.
+
+    Args:
+        library: The library.
+        controller: The controller to which the function belongs.
+        function: Name of the function within the symbol.
+        address: Address of the function.
+    """
     symbol = symbol_of(library, controller, function)
     if symbol not in foreign.ADDRESSES:
         foreign.provide(symbol, address)
@@ -87,14 +94,14 @@ def provide_function(library: NativeLibrary, controller: NativeController, funct
 
 
 def initial_memory(controller: NativeController) -> np.ndarray:
-    """The memory of a controller's calls after ``init``, an array of bytes, shape (exchange,)."""
+    """Return a controller's exchange after ``init``, an array of bytes, shape (exchange_size,)."""
     memory = np.zeros(controller.exchange_size, np.uint8)
     CALL(controller.init)(memory.ctypes.data)
     return memory
 
 
 def default_values(controller: NativeController) -> dict[str, float]:
-    """The defaults of the parameters, which ``init`` sets, by name."""
+    """Return the default of each parameter, as ``init`` sets it, by the parameter's name."""
     memory = initial_memory(controller)
     real = controller.dtype
     values: dict[str, float] = {}
@@ -107,10 +114,11 @@ def default_values(controller: NativeController) -> dict[str, float]:
 def require_reentrant(controller: NativeController) -> None:
     """Require that a controller keeps no numbers outside of its structure.
 
-    Two trial flights must give the same bits one after the other as in turn, sample by sample.
+    Two trial flights must give the same bits whether they run one after the other or in turn, sample by sample. The
+    first flight must give the same bits again when it is repeated.
 
     Raises:
-        ConfigError: They give other bits.
+        ConfigError: A flight gives other bits.
     """
     first = flown_commands(controller, [0])
     second = flown_commands(controller, [1])
@@ -128,7 +136,7 @@ def require_reset(controller: NativeController) -> None:
     """Require that ``reset`` sets the whole state: a trial flight repeated after it gives the same bits.
 
     Raises:
-        ConfigError: It gives other bits.
+        ConfigError: The repeated flight gives other bits.
     """
     memory = initial_memory(controller)
     first = flown_with(controller, {0: memory})
@@ -142,9 +150,9 @@ def require_reset(controller: NativeController) -> None:
 
 
 def moved_values(controller: NativeController) -> dict[str, float]:
-    """A value of each parameter that is admissible and differs from its default, by name.
+    """Return a value of each parameter, by name, that is admissible and differs from the parameter's default.
 
-    A parameter for which no such value is found is left out.
+    Three values are tried. A parameter for which none of them is admissible is left out.
     """
     values = {}
     defaults = default_values(controller)
@@ -158,11 +166,14 @@ def moved_values(controller: NativeController) -> dict[str, float]:
 
 
 def memory_with(controller: NativeController, values: dict[str, float]) -> np.ndarray:
-    """The memory of a controller's calls after ``init``, with other values of some parameters, an array of bytes.
+    """Return a controller's exchange after ``init``, with the values of some parameters replaced.
 
     Args:
         controller: The controller.
-        values: Values of these parameters by name.
+        values: New values of these parameters by name.
+
+    Returns:
+        An array of bytes, shape (exchange_size,).
     """
     memory = initial_memory(controller)
     real = controller.dtype
@@ -174,7 +185,7 @@ def memory_with(controller: NativeController, values: dict[str, float]) -> np.nd
 
 
 def require_parameters_kept(controller: NativeController) -> None:
-    """Require that neither ``reset`` nor ``step`` changes a parameter: the analysis would not see the change.
+    """Require that neither ``reset`` nor ``step`` changes a parameter, because the analysis would not see the change.
 
     Raises:
         ConfigError: A trial flight changes a parameter.
@@ -193,7 +204,7 @@ def require_parameters_kept(controller: NativeController) -> None:
 
 
 def parameters_without_effect(controller: NativeController) -> tuple[str, ...]:
-    """Names of the parameters whose change alters no command of a trial flight."""
+    """Return the names of the parameters whose change alters no command of a trial flight."""
     default_commands = flown_commands(controller, [0])
     names = []
     for name, value in moved_values(controller).items():
@@ -204,7 +215,12 @@ def parameters_without_effect(controller: NativeController) -> tuple[str, ...]:
 
 
 def flown_commands(controller: NativeController, flights: list[int]) -> list[bytes]:
-    """The commands of trial flights with default parameters, as :func:`flown_with` returns them."""
+    """Return the bits of all commands of trial flights with default parameters, one entry for each flight.
+
+    Args:
+        controller: The controller.
+        flights: Numbers of the flights; the signals of a flight depend on its number.
+    """
     return flown_with(controller, {flight: initial_memory(controller) for flight in flights})
 
 
@@ -213,11 +229,12 @@ def flown_with(
 ) -> list[bytes]:
     """Reset some trial flights and fly them in turn, sample by sample.
 
-    Signals oscillate, and grow from 1/``LARGEST_SIGNAL`` to ``LARGEST_SIGNAL``, so that limits are met as well.
+    The signals oscillate, and grow from 1/``LARGEST_SIGNAL`` to ``LARGEST_SIGNAL``, so that the commands reach limits
+    as well.
 
     Args:
         controller: The controller.
-        memories: Exchange of each flight by the flight's number, arrays of bytes; the flights change them.
+        memories: Exchange of each flight by the flight's number, arrays of bytes, which the flights change.
         address: Address of the function that computes a sample; None: the step with telemetry.
 
     Returns:
@@ -243,7 +260,7 @@ def flown_with(
 
 
 def require_sum(controller: NativeController) -> None:
-    """Require that u_p, the command that flies, is u + u_n, the command that is analysed, in a trial flight.
+    """Require that the command u_p that flies is the sum u + u_n that is analysed, in every sample of a trial flight.
 
     Raises:
         ConfigError: u_p differs from the sum.
@@ -281,12 +298,12 @@ def require_same_without_telemetry(controller: NativeController) -> None:
 
 
 def trial_commands(controller: NativeController) -> np.ndarray:
-    """u, u_n and u_p of every sample of a trial flight with default parameters, shape (samples, 3)."""
+    """Return u, u_n and u_p of every sample of a trial flight with default parameters, shape (samples, 3)."""
     (bits,) = flown_commands(controller, [0])
     return np.frombuffer(bits, controller.dtype).reshape(TRIED_SAMPLES, -1).astype(float)
 
 
 def samples_not_finite(controller: NativeController) -> int:
-    """Number of samples of a trial flight, with default parameters, in which a command is not finite."""
+    """Count the samples of a trial flight with default parameters in which a command is not finite."""
     is_finite = np.isfinite(trial_commands(controller)).all(axis=1)
     return int(np.count_nonzero(~is_finite))

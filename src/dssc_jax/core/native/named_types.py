@@ -1,4 +1,4 @@
-"""NamedTuple types whose fields native code names, made when it is loaded."""
+"""NamedTuple types whose fields have names from native code, made when the code is loaded."""
 
 from collections import namedtuple
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ MODULE = "dssc_jax_library"
 
 
 def named_type(name: str, quantities: Mapping[str, Quantity], defaults: Mapping[str, float | None]) -> Any:
-    """A NamedTuple type of numbers.
+    """Make a NamedTuple type of numbers.
 
     Args:
         name: Name of the type.

@@ -14,21 +14,21 @@ DTYPE = "dtype"
 
 
 def encode(tree: Any) -> bytes:
-    """A tree of plain values as JSON text, in bytes.
+    """Return a tree of plain values as JSON text, in bytes.
 
     Raises:
-        Undescribed: It contains a value of another type, or a named tuple that cannot be imported.
+        Undescribed: The tree contains a value of another type, or a named tuple that cannot be imported.
     """
     return json.dumps(as_plain(tree)).encode()
 
 
 def decode(content: bytes) -> Any:
-    """Read the tree again that :func:`encode` has turned into these bytes."""
+    """Return the tree that :func:`encode` has turned into these bytes."""
     return restore(json.loads(content))
 
 
 def as_plain(tree: Any) -> Any:
-    """A tree of JSON values; a value of another type becomes an object whose only key is the name of its type.
+    """Return a tree of JSON values. A value of a type that JSON lacks becomes an object with one key, the type's name.
 
     Raises:
         Undescribed: A value has a type that :func:`restore` does not know.
@@ -50,7 +50,7 @@ def as_plain(tree: Any) -> Any:
 
 
 def restore(content: Any) -> Any:
-    """Make the tree again that :func:`as_plain` has turned into this content."""
+    """Return the tree that :func:`as_plain` has turned into this content."""
     if isinstance(content, list):
         return [restore(part) for part in content]
     if not isinstance(content, dict):

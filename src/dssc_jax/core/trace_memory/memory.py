@@ -1,4 +1,4 @@
-"""Results of traces in the user's cache, each under a name that describes everything on which it depends."""
+"""Results of traces in the user's cache, each under a name that describes everything on which the result depends."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -16,8 +16,8 @@ def cached_by_subjects(label: str, compute: Callable[[], T], *subjects: Any) -> 
     Args:
         label: Label of the result, such as ``signature``.
         compute: Computes the result, a tree that :func:`dssc_jax.core.trace_memory.facts.encode` can write.
-        subjects: Everything on which the result depends besides this package's code; if :func:`cache_key` cannot
-            describe it, the result is computed and not stored.
+        subjects: Everything on which the result depends, apart from this package's code. If :func:`cache_key` cannot
+            describe a subject, the result is computed and not stored.
     """
     key = None if cache_directory() is None else cache_key(label, *subjects)
     if key is None:

@@ -1,11 +1,11 @@
 """Names of results in the cache: equal names imply equal results.
 
 A name is a digest of the package's sources, of the versions of the libraries, of JAX's settings and of the subjects on
-which the result depends: numbers, containers, parameters, models, and functions with all that they close over. A
-subject that cannot be described completely has no name, such as a model of the user's own: its code, and what that
-calls, may change without notice.
+which the result depends: numbers, containers, parameters, models, and functions with all that they close over. Some
+subjects have no name because they cannot be described completely. An example is a model of the user's own: its code,
+and the code that it calls, may change without notice.
 
-Code that was changed in the running process only, as by assigning to a module's function, is not noticed.
+A change of code in the running process alone, such as an assignment to a function's name in a module, is not noticed.
 """
 
 import functools
@@ -41,7 +41,7 @@ class Undescribed(Exception):
 
 
 def cache_key(*subjects: Any) -> str | None:
-    """Make the name under which a result is cached that depends on the subjects and on this package's code.
+    """Return the name under which the cache keeps a result that depends on the subjects and on this package's code.
 
     Returns:
         A digest in hexadecimal; None if a subject cannot be described, or if the package's files have changed since
@@ -61,9 +61,9 @@ def cache_key(*subjects: Any) -> str | None:
 
 @cache
 def sources_digest() -> str | None:
-    """Digest of the package's source files in hexadecimal, computed once in a process.
+    """Return the digest of the package's source files in hexadecimal, computed once in a process.
 
-    None: they cannot be read, or may have changed since this process imported the package.
+    The result is None if there are no source files, or if one may have changed since this process imported the package.
     """
     root = package_root()
     digest = hashlib.sha256()
@@ -77,30 +77,31 @@ def sources_digest() -> str | None:
 
 
 def package_root() -> Path:
-    """Find the package's folder."""
+    """Return the folder of the package dssc_jax."""
     return Path(dssc_jax.__file__).parent
 
 
 def package_sources() -> list[Path]:
-    """List the package's source files; none if it is imported from an archive."""
+    """Return the package's source files, sorted; an empty list if the package is imported from an archive."""
     return sorted(package_root().rglob("*.py"))
 
 
 @cache
 def versions() -> tuple[str, ...]:
-    """Versions of Python and of the libraries that take part in a trace."""
+    """Return the versions of Python and of the libraries that take part in a trace."""
     return platform.python_version(), *map(version, VERSIONED)
 
 
 def description_parts(subject: Any, ancestors: tuple[int, ...]) -> Iterator[bytes]:
-    """Describe a subject by pieces of bytes, which the digest joins: its type, then its value or its parts.
+    """Yield the description of a subject as pieces of bytes: its type, then its value or the description of its parts.
 
     Args:
         subject: The object.
-        ancestors: id() of every object that contains the subject, from the outermost on.
+        ancestors: ``id`` of every object that contains the subject, outermost first. A subject that is among these, as
+            in a function that closes over itself, is described by its distance.
 
     Raises:
-        Undescribed: It has no complete description.
+        Undescribed: The subject has no complete description.
     """
     if id(subject) in ancestors:  # a function that closes over itself: the number of levels up
         yield f"above {len(ancestors) - ancestors.index(id(subject))}".encode()
@@ -144,7 +145,7 @@ def array_parts(array: Any) -> Iterator[bytes]:
     """Describe an array by its dtype, shape and numbers.
 
     Raises:
-        Undescribed: Its dtype is no plain one, as for random keys.
+        Undescribed: The dtype is not one of :data:`PLAIN`; that of random keys is an example.
     """
     if getattr(array.dtype, "kind", "") not in PLAIN:
         raise Undescribed(array.dtype)
@@ -154,7 +155,7 @@ def array_parts(array: Any) -> Iterator[bytes]:
 
 
 def parts_of(subject: Any) -> list[Any]:
-    """The parts that determine a container, a function, or an object of a supported type, for their description.
+    """Return the parts that determine a container, a function, or an object of another supported type.
 
     Raises:
         Undescribed: The type is not supported.
@@ -184,10 +185,12 @@ def parts_of(subject: Any) -> list[Any]:
 
 
 def function_parts(function: types.FunctionType) -> list[Any]:
-    """The parts that determine a function: the place of its code, the values that it closes over, and its defaults.
+    """Return the parts that determine a function: the place of its code, the values it closes over, and its defaults.
+
+    The place stands for the code itself, because the digest of the sources or the version of a library fixes the code.
 
     Raises:
-        Undescribed: Its code belongs to no package of :data:`DESCRIBED`.
+        Undescribed: The code belongs to no package of :data:`DESCRIBED`.
     """
     module = function.__globals__["__name__"]  # a decorator may have changed __module__
     if package_of(module) not in DESCRIBED:

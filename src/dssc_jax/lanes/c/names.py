@@ -48,9 +48,10 @@ LINKED = re.compile(r"(pthread|posix|sem|obstack|va|atomic|mtx|cnd|tss|thrd|fmi2
 
 
 def is_reserved(name: str) -> bool:
-    """Whether nothing may have a name, not even a member of a structure.
+    """Whether a name may not be used at all, not even for a member of a structure.
 
-    Names without small letters are left to macros, and names with a leading or double underscore to compilers.
+    Keywords and known macros are reserved. So are names without small letters, which are left to macros, and names with
+    a leading or double underscore, which are left to compilers.
     """
     is_keyword = name in KEYWORDS or name in CPP_KEYWORDS
     may_be_macro = name in MACROS or not re.search("[a-z]", name)
@@ -59,17 +60,20 @@ def is_reserved(name: str) -> bool:
 
 
 def is_forbidden(name: str) -> bool:
-    """Whether no variable or file may have a name: it is reserved, or a function of a library has it."""
+    """Whether no variable or file may have a name: the name is reserved, or a library's function has it."""
     return is_reserved(name) or name in FUNCTIONS
 
 
 def underscored(text: str) -> str:
-    """The text with one underscore in place of each run of characters that no name may have, and none at its ends."""
+    """Return a text whose characters are all valid in a name of C.
+
+    One underscore replaces each run of other characters or underscores. The text has no underscore at its ends.
+    """
     return re.sub(r"(\W|_)+", "_", text, flags=re.ASCII).strip("_")
 
 
 def member_name(text: str) -> str:
-    """A valid name for a member of a structure, as near to a text as possible."""
+    """Return a valid name for a member of a structure, as near to a text as possible; "value" if nothing is left."""
     name = underscored(text) or "value"
     if name[0].isdigit():
         name = f"value_{name}"
@@ -77,7 +81,7 @@ def member_name(text: str) -> str:
 
 
 def member_names(texts: Iterable[str]) -> list[str]:
-    """A valid name for each member of one structure; the second of equal names ends in _2, and so on."""
+    """Return a valid name for each text, all different; the second of equal names ends in _2, the third in _3."""
     names: list[str] = []
     for text in texts:
         base = member_name(text)
@@ -91,7 +95,10 @@ def member_names(texts: Iterable[str]) -> list[str]:
 
 
 def prefix_name(text: str) -> str:
-    """A valid prefix of the names of functions and types, in small letters, as near to a text as possible."""
+    """Return a valid prefix of the names of functions and types, in small letters, as near to a text as possible.
+
+    A text that cannot be such a prefix, such as a digit or the name of a library's function, gets "study_" before it.
+    """
     name = underscored(text).lower()
     if not name[:1].isalpha() or is_forbidden(name) or LINKED.fullmatch(name):
         name = f"study_{name}".rstrip("_")
@@ -99,7 +106,7 @@ def prefix_name(text: str) -> str:
 
 
 def c_string(text: str) -> str:
-    """A text as a literal in C; characters that are not printable ASCII become question marks."""
+    """Return a text as a string literal in C; characters that are not printable ASCII become question marks."""
     printable = re.sub(r"[^\x20-\x7e]", "?", text)
     escaped = printable.replace("\\", "\\\\").replace('"', '\\"')
     without_trigraphs = escaped.replace("??", "?\\?")  # C reads ??/ and eight others as one character

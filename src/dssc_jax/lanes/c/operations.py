@@ -119,7 +119,7 @@ INTEGER_HELPERS = {
 
 
 def c_type(dtype: np.dtype) -> str:
-    """C's type of a dtype."""
+    """Return C's type of a dtype, such as ``double`` or ``uint32_t``."""
     if dtype == BOOL:
         return "bool"
     if dtype.kind == "f":
@@ -128,14 +128,18 @@ def c_type(dtype: np.dtype) -> str:
 
 
 def c_literal(number: Any, dtype: np.dtype) -> str:
-    """A number as a literal in C, which compilers read back to the same bits."""
+    """Return a number as a literal in C that compilers read back to the same bits, except the bits of a NaN."""
     if dtype == BOOL:
         return "true" if number else "false"
     return integer_literal(int(number), dtype) if dtype.kind in "iu" else real_literal(number, dtype)
 
 
 def integer_literal(number: int, dtype: np.dtype) -> str:
-    """An integer as a literal in C; C would read the least signed integer as minus a number that is too large."""
+    """Return an integer as a literal in C.
+
+    The least signed integer needs the macro INT32_MIN or its like: C would read its digits as minus a number that is
+    one too large for the type.
+    """
     bits = 8 * dtype.itemsize
     if dtype.kind == "u":
         return f"UINT{bits}_C({number})"
@@ -145,7 +149,7 @@ def integer_literal(number: int, dtype: np.dtype) -> str:
 
 
 def real_literal(number: Any, dtype: np.dtype) -> str:
-    """A floating-point number as a literal in C, with as many digits as its bits need."""
+    """Return a floating-point number as a literal in C, with as many digits as its bits need; NaN is 0/0."""
     single = dtype.itemsize == 4
     suffix = "f" if single else ""
     if math.isnan(number):
@@ -161,15 +165,18 @@ class Expression(NamedTuple):
     """An expression in C.
 
     Args:
-        text: The text.
-        precedence: Precedence of its outermost operator; :data:`ATOM` if it has none.
+        text: The text of the expression.
+        precedence: Precedence of the outermost operator; :data:`ATOM` if there is none, or if it is within brackets.
     """
 
     text: str
     precedence: int
 
     def operand_of(self, precedence: int) -> str:
-        """The text as an operand of an operator, in brackets if its own precedence is below the operator's."""
+        """Return the text as an operand of an operator of some precedence.
+
+        The text gets brackets if the precedence of the expression is below that of the operator.
+        """
         return self.text if self.precedence >= precedence else f"({self.text})"
 
 
@@ -186,18 +193,18 @@ class Notation:
         self._needed: dict[tuple[str, np.dtype | None, str], str] = {}
 
     def helpers(self) -> list[str]:
-        """Definitions of the functions that the operations so far need; functions that others call come first."""
+        """Return the definitions of the functions that the operations so far need, each after those that it calls."""
         called_by_others = HELPERS_NEEDED.values()
         keys = sorted(self._needed, key=lambda key: (key[0] not in called_by_others, str(key)))
         return [self._needed[key] for key in keys]
 
     def require_helper(self, name: str, integer: np.dtype | None = None, real: np.dtype | None = None) -> str:
-        """Add a function to those that are needed, and return its name in C.
+        """Add a function, and the function that it calls, to those that are needed; return its name in C.
 
         Args:
             name: Key in :data:`HELPERS`, or in :data:`INTEGER_HELPERS` if ``integer`` is given.
-            integer: Dtype of the function's integers; None: it has none.
-            real: Dtype of the function's floating-point numbers; None: that of the program.
+            integer: Dtype of the function's integers; None: a function of floating-point numbers alone.
+            real: Dtype of the function's floating-point numbers; None: the dtype of the program's.
         """
         real = self.real if real is None else real
         if name in HELPERS_NEEDED:
@@ -209,15 +216,15 @@ class Notation:
         return f"{name}{ending}" if integer is None else f"{name}_{8 * integer.itemsize}{ending}"
 
     def _ending(self, real: np.dtype) -> str:
-        """Ending of a function's name: empty for the program's floating-point numbers, else their type."""
+        """Return the ending of a function's name: empty if ``real`` is the program's dtype, else "_" and C's type."""
         return "" if real == self.real else f"_{c_type(real)}"
 
     def _replacements(self, real: np.dtype, integer: np.dtype | None) -> dict[str, str | int]:
-        """What takes the place of each name in braces in a template.
+        """Return the text that replaces each name in braces in a template of a function.
 
         Args:
             real: Dtype of the function's floating-point numbers.
-            integer: Dtype of the function's integers; None: they are as long as the floating-point numbers.
+            integer: Dtype of the function's integers; None: as many bits as ``real`` has.
         """
         single = real.itemsize == 4
         width = 8 * (real if integer is None else integer).itemsize
@@ -230,14 +237,14 @@ class Notation:
         }  # fmt: skip
 
     def expression(self, value: Value, operands: Sequence[Expression]) -> Expression:
-        """C's expression of an operation.
+        """Return C's expression of an operation.
 
         Args:
             value: The result of the operation.
             operands: C's expression of each operand.
 
         Raises:
-            Unsupported: C has no exact form of it.
+            Unsupported: The operation has no form in C with the same bits.
         """
         operation = value.operation
         dtype = value.dtype
@@ -270,7 +277,15 @@ class Notation:
         return self.integer_operation(value, operands)
 
     def float_operation(self, value: Value, operands: Sequence[Expression]) -> Expression:
-        """An operation of floating-point numbers; arguments and errors as for :meth:`expression`."""
+        """Return C's expression of an operation of floating-point numbers.
+
+        Args:
+            value: The result of the operation.
+            operands: C's expression of each operand.
+
+        Raises:
+            Unsupported: The operation has no form in C with the same bits.
+        """
         operation = value.operation
         real = value.dtype
         if operation in SIGNS:
@@ -294,7 +309,15 @@ class Notation:
         raise Unsupported(f"'{operation}' of floating-point numbers in C")
 
     def integer_operation(self, value: Value, operands: Sequence[Expression]) -> Expression:
-        """An operation of integers; arguments and errors as for :meth:`expression`."""
+        """Return C's expression of an operation of integers.
+
+        Args:
+            value: The result of the operation.
+            operands: C's expression of each operand.
+
+        Raises:
+            Unsupported: The operation has no form in C, or is arithmetic of integers shorter than 32 bits.
+        """
         operation = value.operation
         dtype = value.dtype
         texts = [operand.text for operand in operands]
@@ -318,7 +341,16 @@ class Notation:
         raise Unsupported(f"'{operation}' of {dtype} in C")
 
     def conversion(self, value: Value, source: np.dtype, operand: Expression) -> Expression:
-        """A conversion of a number from the dtype ``source``; errors as for :meth:`expression`."""
+        """Return C's expression of the conversion of a number to another dtype.
+
+        Args:
+            value: The converted number.
+            source: Dtype of the number before the conversion.
+            operand: C's expression of the number.
+
+        Raises:
+            Unsupported: A floating-point number becomes an unsigned integer.
+        """
         dtype = value.dtype
         if source.kind == "f" and dtype.kind in "iu":
             if dtype.kind == "u":
@@ -337,12 +369,15 @@ class Notation:
         return Expression(f"({c_type(dtype)}){operand.operand_of(UNARY)}", UNARY)
 
     def same_bits(self, source: np.dtype, dtype: np.dtype, operand: Expression) -> Expression:
-        """The bits of a number as a number of another dtype; errors as for :meth:`expression`.
+        """Return C's expression of the number of another dtype that has the same bits.
 
         Args:
             source: Dtype of the number.
             dtype: The other dtype, of the same size.
             operand: C's expression of the number.
+
+        Raises:
+            Unsupported: One of the two dtypes is that of truth values.
         """
         text = operand.text
         match source.kind, dtype.kind:

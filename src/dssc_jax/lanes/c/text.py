@@ -35,7 +35,7 @@ class CText:
         inputs: C's expression of each input.
         real: Dtype of the floating-point numbers.
         reserved_names: Names that no variable may have.
-        constants: Names of constants of the file, by value; None: it has none.
+        constants: Names of the file's constants, by their value; None: the file has none.
         notation: Collects the functions that operations need; None: a new one.
         prefix: Prefix of the names of tables.
 
@@ -76,11 +76,11 @@ class CText:
     # Public methods
 
     def compute(self, outputs: Sequence[Value]) -> None:
-        """Write the statements that some outputs need, except those that are written already."""
+        """Write the statements on which some outputs depend, except the statements that are written already."""
         self._block(self.program.body, reachable(Program(self.program.inputs, self.program.body, list(outputs))))
 
     def indent(self, steps: int) -> None:
-        """Indent the following lines by some more steps; by fewer if ``steps`` is negative."""
+        """Indent the following lines by more steps of four spaces; by fewer if ``steps`` is negative."""
         self._indent += steps
 
     def line(self, text: str) -> None:
@@ -88,13 +88,18 @@ class CText:
         self.lines.append("    " * self._indent + text if text else "")
 
     def read(self, value: Value) -> str:
-        """C's expression of a value that is written, a constant or an input."""
+        """Return the text of C's expression of a value: a constant, an input, or a value that is written already."""
         return self._expression(value).text
 
     # Blocks
 
     def _block(self, block: CodeBlock, alive: set[int]) -> None:
-        """Write the nodes of a block whose ``id`` is in ``alive``, except those that are written already."""
+        """Write the nodes of a block, except the nodes that are written already.
+
+        Args:
+            block: The block.
+            alive: The ``id`` of each node to write; other nodes are left out.
+        """
         for node in block.nodes:
             if id(node) not in alive or id(node) in self._written:
                 continue
@@ -106,7 +111,11 @@ class CText:
                 self._value(node)
 
     def _value(self, value: Value) -> None:
-        """Write a value as a variable if it needs a statement; else it becomes a part of expressions that use it."""
+        """Write a statement that assigns a value to a variable, or keep its expression for the values that use it.
+
+        A value gets a statement if the model names it, if its expression is long, or if it is used more than once and
+        is not a short negative.
+        """
         origin = self.origins.get(id(value), Origin(""))
         expression = self._operation(value)
         is_short_negative = value.operation == "neg" and len(expression.text) < SHORT_EXPRESSION
@@ -119,7 +128,7 @@ class CText:
         self._written[id(value)] = expression
 
     def _heading(self, origin: Origin) -> None:
-        """Write a comment with the model's function and its summary, where another function than before begins."""
+        """Write a comment with the name and summary of the model's function, if it is not that of the last heading."""
         if origin.function and origin.function != self._function:
             self._function = origin.function
             name = origin.function.rpartition(".")[2]
@@ -129,7 +138,7 @@ class CText:
                 self.line(text)
 
     def _variable(self, name: str) -> str:
-        """A new name of a variable: the wanted name or, where it cannot be used, the name with a number."""
+        """Return and reserve a new name of a variable: the wanted name or, if it is taken or invalid, with a number."""
         base = underscored(name) or "part"
         if base[0].isdigit():
             base = f"part_{base}"
@@ -145,7 +154,15 @@ class CText:
     # Control
 
     def _loop(self, loop: CodeLoop, alive: set[int]) -> None:
-        """Write a loop as ``while``: its body writes the next states, tests, and then changes all states at once."""
+        """Write a loop as ``while``.
+
+        The body computes the next states and the condition for another turn, and then changes all states at once.
+        States on which no output depends are left out.
+
+        Args:
+            loop: The loop.
+            alive: The ``id`` of each node on which an output depends.
+        """
         live_positions = []
         for i, (state, result) in enumerate(zip(loop.states, loop.results, strict=True)):
             if id(state) in alive or id(result) in alive:
@@ -173,7 +190,12 @@ class CText:
         self._written[id(loop)] = NO_EXPRESSION
 
     def _branch(self, branch: Branch, alive: set[int]) -> None:
-        """Write a branch as ``if`` and ``else``, which assign its results to variables."""
+        """Write a branch as ``if`` and ``else``, which assign the results of the branch to variables.
+
+        Args:
+            branch: The branch.
+            alive: The ``id`` of each node on which an output depends.
+        """
         live_positions = [i for i, value in enumerate(branch.results) if id(value) in alive]
         names = {i: self._variable("chosen") for i in live_positions}
         for i in live_positions:
@@ -193,7 +215,7 @@ class CText:
     # Expressions
 
     def _expression(self, value: Value) -> Expression:
-        """C's expression of a value that is written, a constant or an input."""
+        """Return C's expression of a value: a constant, an input, or a value that is written already."""
         if value.operation == "constant":
             name = self.constants.get(float(value.detail)) if value.dtype.kind == "f" else None
             if name is not None:
@@ -205,7 +227,7 @@ class CText:
         return self._written[id(value)]
 
     def _operation(self, value: Value) -> Expression:
-        """C's expression of an operation, whose operands are written already."""
+        """Return C's expression of an operation whose operands are written already."""
         operands = [self._expression(operand) for operand in value.operands]
         if value.operation == "lookup":
             return Expression(self._lookup(value, operands[0].text), ATOM)
@@ -214,7 +236,7 @@ class CText:
         return self.notation.expression(value, operands)
 
     def _subroutine(self, subroutine: Subroutine) -> None:
-        """Write the function of a subroutine, once, with arguments x1, x2, ..."""
+        """Write a subroutine as a function with arguments x1, x2, ...; do nothing if it is written already."""
         name = subroutine.name
         program = subroutine.program
         if name in self.functions:
@@ -231,7 +253,17 @@ class CText:
         self.tables += text.tables
 
     def _lookup(self, value: Value, index: str) -> str:
-        """C's expression of an element of a constant table; an index beyond its end gives the last element."""
+        """Define a constant table, and return C's expression of its element at an index.
+
+        A negative index or one beyond the end gives the last element.
+
+        Args:
+            value: The element; its detail is the table.
+            index: C's expression of the index.
+
+        Raises:
+            Unsupported: The index does not have 32 bits.
+        """
         table = value.detail
         index_type = value.operands[0].dtype
         if index_type.itemsize != 4:
@@ -244,7 +276,7 @@ class CText:
 
 
 def comment(text: str) -> list[str]:
-    """The lines of a comment in C; characters beyond ASCII become ?."""
+    """Return the lines of a comment in C; characters beyond ASCII become ?, and marks of comments are removed."""
     plain = re.sub(r"\*/|/\*", "", text).encode("ascii", "replace").decode()
     lines = textwrap.wrap(plain, LONGEST_EXPRESSION, break_on_hyphens=False) or [""]
     lines = [f" * {line}" for line in lines]
@@ -254,9 +286,9 @@ def comment(text: str) -> list[str]:
 
 
 def use_counts(program: Program) -> dict[int, int]:
-    """Number of uses of each value, by its ``id``, among the nodes that an output needs.
+    """Count the uses of each value, by its ``id``, among the nodes on which an output depends.
 
-    An output counts as one use; a use in an inner block, which may run more than once, as two.
+    Being an output counts as one use. A use in an inner block counts as two, because that block may run more than once.
     """
     alive = reachable(program)
     counts = dict.fromkeys((id(value) for value in program.outputs), 1)

@@ -32,7 +32,7 @@ Two polynomials in x^4 make two short chains of operations in place of a long on
 
 
 def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
-    """The value of a polynomial by Horner's rule; coefficients from the highest power on."""
+    """Return the value of a polynomial at x by Horner's rule; the coefficient of the highest power comes first."""
     value: Scalar = coefficients[0]
     for coefficient in coefficients[1:]:
         value = value * x + coefficient
@@ -40,11 +40,11 @@ def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
 
 
 def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:
-    """The arctangent of x = opposite/adjacent [rad] in [0, pi/4], for 0 <= opposite <= adjacent and adjacent > 0.
+    """Return the arctangent of x = opposite/adjacent [rad] in [0, pi/4], for 0 <= opposite <= adjacent, adjacent > 0.
 
-    Beyond tan(pi/8) it is pi/4 + atan r with the reduced ratio r = (x - 1)/(x + 1); below, r = x. The ratio x itself is
-    never computed beyond tan(pi/8), which saves a division. The polynomials are those of FreeBSD's s_atan.c and
-    s_atanf.c (Sun Microsystems, 1993).
+    For x <= tan(pi/8), the arctangent of r = x is a polynomial. For a larger x it is pi/4 + atan r with the reduced
+    ratio r = (x - 1)/(x + 1), which follows from the two sides by one division, without x itself. The polynomials are
+    those of FreeBSD's s_atan.c and s_atanf.c (Sun Microsystems, 1993).
     """
     is_beyond = opposite > math.tan(math.pi / 8.0) * adjacent
     r = jnp.where(is_beyond, opposite - adjacent, opposite) / jnp.where(is_beyond, opposite + adjacent, adjacent)
@@ -57,9 +57,10 @@ def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:
 
 
 def atan(x: Scalar) -> Scalar:
-    """The arctangent [rad] in (-pi/2, pi/2), within 3 ulp.
+    """Return the arctangent [rad] in (-pi/2, pi/2), within 3 units in the last place.
 
-    It consists of arithmetic that vectorises, while XLA's own on a CPU is a routine for one number at a time.
+    This function consists of arithmetic that a compiler vectorises. On a CPU, XLA's own arctangent is a routine for one
+    number at a time.
     """
     magnitude = jnp.abs(x)
     is_steep = magnitude > 1.0
@@ -69,7 +70,7 @@ def atan(x: Scalar) -> Scalar:
 
 
 def atan2(y: Scalar, x: Scalar) -> Scalar:
-    """The angle of the vector (x, y) [rad] in (-pi, pi], in a form that vectorises; 0 at the origin."""
+    """Return the angle of the vector (x, y) [rad] in (-pi, pi], in arithmetic that vectorises; 0 at the origin."""
     height = jnp.abs(y)
     width = jnp.abs(x)
     is_steep = height > width

@@ -1,8 +1,8 @@
 """Sine, cosine and tangent of every number.
 
-Quarter turns are removed first. Up to :data:`MOST_QUARTERS` of them, this is done by pi/2 in three or four parts, after
-Cody and Waite. Lanes rarely get beyond; there it is done by the product with 2/pi as an integer of 192 bits, after
-Payne and Hanek.
+An angle is first reduced by its whole quarter turns. For up to :data:`MOST_QUARTERS` quarter turns, the reduction
+subtracts pi/2 in three or four parts, after Cody and Waite. Lanes rarely have larger angles. For these, the reduction
+multiplies by 2/pi as an integer of 192 bits, after Payne and Hanek.
 
 References:
     W. J. Cody, W. Waite, Software Manual for the Elementary Functions (1980).
@@ -52,9 +52,9 @@ class ReducedAngle(NamedTuple):
     """An angle without its whole quarter turns.
 
     Args:
-        quarters: Number of quarter turns, modulo 4, in the two lowest bits of an integer.
+        quarters: Number of removed quarter turns, modulo 4, in the two lowest bits of an integer.
         angle: The remaining angle in [-pi/4, pi/4] [rad].
-        angle_error: The rounding error of ``angle``, which is too large by it [rad].
+        angle_error: The rounding error of ``angle`` [rad]: the exact remaining angle is ``angle - angle_error``.
     """
 
     quarters: jax.Array
@@ -63,7 +63,7 @@ class ReducedAngle(NamedTuple):
 
 
 def reduce_near(x: jax.Array) -> ReducedAngle:
-    """The reduction of an angle x [rad] of at most :data:`MOST_QUARTERS` quarter turns: x - quarters pi/2."""
+    """Reduce an angle x [rad] of at most :data:`MOST_QUARTERS` quarter turns to x - quarters pi/2."""
     bits = 8 * x.dtype.itemsize
     rounded_sum = x * (2.0 / math.pi) + ROUNDER[bits]
     quarters = rounded_sum - ROUNDER[bits]
@@ -82,12 +82,17 @@ def is_far(x: jax.Array) -> jax.Array:
 
 
 def word(number: int) -> jax.Array:
-    """A constant word of 64 bits."""
+    """Return a constant as a word of 64 bits."""
     return jnp.uint64(number)
 
 
 def high_product(x: jax.Array, y: jax.Array) -> jax.Array:
-    """The upper word of the product of two words of 64 bits, the first below 2^53; by products of half words."""
+    """Return the upper 64 of the 128 bits of the product of two words, by products of their halves.
+
+    Args:
+        x: A word below 2^53.
+        y: Any word of 64 bits.
+    """
     lower_half = word(0xFFFFFFFF)
     x_high = x >> word(32)
     x_low = x & lower_half
@@ -100,20 +105,27 @@ def high_product(x: jax.Array, y: jax.Array) -> jax.Array:
 
 
 def following_bits(high: jax.Array, low: jax.Array, shift: jax.Array) -> jax.Array:
-    """64 bits of two consecutive words, from bit number ``shift`` on, where bit 0 is the first word's highest."""
+    """Return 64 of the 128 bits of two consecutive words, from bit ``shift`` on.
+
+    Args:
+        high: The first word.
+        low: The second word.
+        shift: Number of the first bit, from 0 to 63; bit 0 is the highest bit of ``high``.
+    """
     return high << shift | (low >> word(1)) >> (word(63) - shift)  # in two shifts, since 64 is too many for a word
 
 
 def word_as_number(x: jax.Array, scale: float) -> jax.Array:
-    """A word below 2^32 as a float64 number, times ``scale``, a power of two."""
+    """Return a word below 2^32 as a float64 number, multiplied by ``scale``, a power of two."""
     return x.astype(jnp.int64).astype(jnp.float64) * scale
 
 
 def reduce_far(x: jax.Array) -> ReducedAngle:
-    """The reduction of any angle x [rad] in float64 from 2^-9 on; NaN for an infinite angle.
+    """Reduce any float64 angle x [rad] with |x| >= 2^-9; the remaining angle is NaN for an infinite x.
 
-    |x| = m 2^e with an integer m of 53 bits. Bits of 2/pi whose product with |x| is a multiple of 4 are left out. The
-    next 192 bits give |x| 2/pi modulo 4 with 126 binary places. For no number do more than 62 of these cancel.
+    |x| = m 2^e with an integer m of 53 bits. The first bits of 2/pi, whose product with |x| is a multiple of 4 quarter
+    turns, are left out. The next 192 bits give |x| 2/pi modulo 4 with 126 binary places. For no float64 number do more
+    than 62 of these places cancel.
     """
     bits = jax.lax.bitcast_convert_type(jnp.abs(x), jnp.uint64)
     mantissa = bits & word(2**52 - 1) | word(2**52)  # m
@@ -140,14 +152,14 @@ def reduce_far(x: jax.Array) -> ReducedAngle:
 
 
 def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.Array, lower: jax.Array) -> ReducedAngle:
-    """The reduced angle in radians, from a fraction of a quarter turn: fraction * pi/2, with its rounding error.
+    """Convert a reduced angle from a fraction of a quarter turn to radians: fraction * pi/2, with its rounding error.
 
     Args:
-        x: The angle that is reduced [rad], whose sign the result has.
+        x: The angle that is reduced [rad]. A negative x negates the result, since the other arguments belong to |x|.
         quarters: Number of quarter turns of |x|.
         negative: 1 if the fraction is negative, else 0.
-        upper: First word of the absolute value of the fraction, as an integer of 128 bits.
-        lower: Second word.
+        upper: First word of the absolute value of the fraction, in units of 2^-128 as an integer of 128 bits.
+        lower: Second word of the same integer.
     """
     lower_half = word(0xFFFFFFFF)
     first = word_as_number(upper >> word(32), 2.0**-32)
@@ -177,14 +189,14 @@ def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.A
 
 
 def sine_of_remainder(reduced: ReducedAngle) -> jax.Array:
-    """The sine of the angle that remains without its quarter turns; the sine of -0 is -0."""
+    """Return the sine of the remaining angle, without regard to the removed quarter turns; the sine of -0 is -0."""
     _, angle, angle_error = reduced
     z = angle * angle
     return angle - (angle_error - angle * (z * polynomial(SINE_SERIES, z) + 0.5 * angle * angle_error))
 
 
 def cosine_of_remainder(reduced: ReducedAngle) -> jax.Array:
-    """The cosine of the angle that remains without its quarter turns."""
+    """Return the cosine of the remaining angle, without regard to the removed quarter turns."""
     _, angle, angle_error = reduced
     z = angle * angle
     half = 0.5 * z
@@ -194,9 +206,9 @@ def cosine_of_remainder(reduced: ReducedAngle) -> jax.Array:
 
 
 def sine(reduced: ReducedAngle) -> jax.Array:
-    """The sine of a reduced angle.
+    """Return the sine of the angle that was reduced.
 
-    For 0, 1, 2 or 3 quarter turns, it is the sine, cosine, -sine or -cosine of the angle that remains.
+    For 0, 1, 2 or 3 removed quarter turns, the result is the sine, cosine, -sine or -cosine of the remaining angle.
     """
     is_odd = reduced.quarters & 1 == 1
     value = jnp.where(is_odd, cosine_of_remainder(reduced), sine_of_remainder(reduced))
@@ -205,9 +217,9 @@ def sine(reduced: ReducedAngle) -> jax.Array:
 
 
 def cosine(reduced: ReducedAngle) -> jax.Array:
-    """The cosine of a reduced angle.
+    """Return the cosine of the angle that was reduced.
 
-    For 0, 1, 2 or 3 quarter turns, it is the cosine, -sine, -cosine or sine of the angle that remains.
+    For 0, 1, 2 or 3 removed quarter turns, the result is the cosine, -sine, -cosine or sine of the remaining angle.
     """
     is_odd = reduced.quarters & 1 == 1
     value = jnp.where(is_odd, sine_of_remainder(reduced), cosine_of_remainder(reduced))
@@ -216,9 +228,9 @@ def cosine(reduced: ReducedAngle) -> jax.Array:
 
 
 def tangent(reduced: ReducedAngle) -> jax.Array:
-    """The tangent of a reduced angle.
+    """Return the tangent of the angle that was reduced.
 
-    It is sine/cosine of the angle that remains, or -cosine/sine for an odd number of quarter turns.
+    The result is sine/cosine of the remaining angle, or -cosine/sine after an odd number of removed quarter turns.
     """
     is_odd = reduced.quarters & 1 == 1
     cosine_value = cosine_of_remainder(reduced)
@@ -227,30 +239,30 @@ def tangent(reduced: ReducedAngle) -> jax.Array:
 
 
 def sin(x: jax.Array) -> jax.Array:
-    """The sine of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
+    """Return the sine of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
     return sine(reduce_near(x))
 
 
 def cos(x: jax.Array) -> jax.Array:
-    """The cosine of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
+    """Return the cosine of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
     return cosine(reduce_near(x))
 
 
 def tan(x: jax.Array) -> jax.Array:
-    """The tangent of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
+    """Return the tangent of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
     return tangent(reduce_near(x))
 
 
 def far_sin(x: jax.Array) -> jax.Array:
-    """The sine of an angle [rad] beyond :data:`MOST_QUARTERS` quarter turns."""
+    """Return the sine of an angle [rad] beyond :data:`MOST_QUARTERS` quarter turns, by float64 arithmetic."""
     return sine(reduce_far(x.astype(jnp.float64))).astype(x.dtype)
 
 
 def far_cos(x: jax.Array) -> jax.Array:
-    """The cosine of an angle [rad] beyond :data:`MOST_QUARTERS` quarter turns."""
+    """Return the cosine of an angle [rad] beyond :data:`MOST_QUARTERS` quarter turns, by float64 arithmetic."""
     return cosine(reduce_far(x.astype(jnp.float64))).astype(x.dtype)
 
 
 def far_tan(x: jax.Array) -> jax.Array:
-    """The tangent of an angle [rad] beyond :data:`MOST_QUARTERS` quarter turns."""
+    """Return the tangent of an angle [rad] beyond :data:`MOST_QUARTERS` quarter turns, by float64 arithmetic."""
     return tangent(reduce_far(x.astype(jnp.float64))).astype(x.dtype)

@@ -1,8 +1,8 @@
 """Elementary functions as arithmetic, so that every machine and every width of vectors computes the same bits.
 
-They are ordinary functions of JAX arrays: the translator traces them in place of the primitive of the same name.
-Over the whole range of float64 and float32, subnormal numbers included, results are within a few units in the last
-place of the exact value; docs/lanes.md has the numbers. Infinities, NaN and the sign of zero are those of C99.
+These are ordinary functions of JAX arrays. The translator traces each of them in place of JAX's primitive of the same
+name. Over the whole range of float64 and float32, subnormal numbers included, results are within a few units in the
+last place of the exact value; docs/lanes.md has the numbers. Infinities, NaN and the sign of zero follow C99.
 """
 
 import math
@@ -76,9 +76,10 @@ not scale, the factor of smaller sides)), by the bits of a number."""
 
 
 def erf_inv(x: jax.Array) -> jax.Array:
-    """The inverse of the error function between its tails (:func:`is_in_tail`).
+    """Return the inverse of the error function at x between the tails, where :func:`is_in_tail` is false.
 
-    The form in w is that of M. Giles, "Approximating the erfinv function", GPU Computing Gems, Jade Edition (2012).
+    The result is x times a polynomial in w = -ln(1 - x^2), as in M. Giles, "Approximating the erfinv function", GPU
+    Computing Gems, Jade Edition (2012).
     """
     _, centre = INVERSE_ERROR_RANGES[width(x)][0]  # near 0
     coefficients = INVERSE_ERROR[width(x)][0]
@@ -87,14 +88,17 @@ def erf_inv(x: jax.Array) -> jax.Array:
 
 
 def is_in_tail(x: jax.Array) -> jax.Array:
-    """Whether a number lies in a tail of the inverse error function, or is NaN; 0.2 % of uniform numbers lie there."""
+    """Whether x lies in a tail of the inverse error function, so w = -ln(1 - x^2) is large, or is NaN.
+
+    About 0.2 % of the numbers of a uniform distribution in (-1, 1) lie in a tail.
+    """
     end, _ = INVERSE_ERROR_RANGES[width(x)][0]
     is_between_tails = one_minus_square(x) > math.exp(-end)  # w < end; false for NaN
     return ~is_between_tails
 
 
 def tail_erf_inv(x: jax.Array) -> jax.Array:
-    """The inverse of the error function in its tails, at -1 and 1 (infinite) and beyond (NaN)."""
+    """Return the inverse of the error function at x in a tail; infinite at -1 and 1, and NaN for |x| > 1."""
     tail_coefficients = INVERSE_ERROR[width(x)][1:]
     tail_ranges = INVERSE_ERROR_RANGES[width(x)][1:]
     w = one_minus_square_logarithm(x)
@@ -109,33 +113,37 @@ def tail_erf_inv(x: jax.Array) -> jax.Array:
 
 
 def one_minus_square_logarithm(x: jax.Array) -> jax.Array:
-    """w = -ln(1 - x^2), in which the inverse of the error function is a smooth factor of x."""
+    """Return w = -ln(1 - x^2). The quotient erfinv(x)/x is a smooth function of w."""
     fraction, k = mantissa(one_minus_square(x))
     return -logarithm(fraction - 1.0, jnp.zeros_like(x), k)
 
 
 def asin(x: jax.Array) -> jax.Array:
-    """The arc sine [rad] in [-pi/2, pi/2], from the angle of the vector ((1 - x^2)^(1/2), |x|); NaN for |x| > 1."""
+    """Return the arc sine [rad] in [-pi/2, pi/2]; NaN for |x| > 1.
+
+    Its magnitude is the angle of the vector ((1 - x^2)^(1/2), |x|).
+    """
     size = jnp.abs(x)
     value = jnp.asarray(atan2(size, jnp.sqrt((1.0 - size) * (1.0 + size))))
     return jnp.where(is_negative(x), -value, value)
 
 
 def acos(x: jax.Array) -> jax.Array:
-    """The arc cosine [rad] in [0, pi]: the angle of the vector (x, (1 - x^2)^(1/2)); NaN for |x| > 1."""
+    """Return the arc cosine [rad] in [0, pi], the angle of the vector (x, (1 - x^2)^(1/2)); NaN for |x| > 1."""
     return jnp.asarray(atan2(jnp.sqrt((1.0 - x) * (1.0 + x)), x))
 
 
 def arc_tangent(x: jax.Array) -> jax.Array:
-    """The arctangent [rad] in [-pi/2, pi/2]; unlike :func:`atan` it keeps the sign of -0."""
+    """Return the arctangent [rad] in [-pi/2, pi/2]; at -0 the result is -0, unlike that of :func:`atan`."""
     value = jnp.asarray(atan(jnp.abs(x)))
     return jnp.where(is_negative(x), -value, value)
 
 
 def angle(y: jax.Array, x: jax.Array) -> jax.Array:
-    """The angle of the vector (x, y) [rad] in [-pi, pi], with C99's values for zeros and infinities.
+    """Return the angle of the vector (x, y) [rad] in [-pi, pi], with C99's values for zeros and infinities.
 
-    Sides that are so long that their sum overflows, or so short that digits are lost, are scaled.
+    Both sides are scaled by one factor if they are so long that their sum would overflow, or so short that digits would
+    be lost.
     """
     longer_side = jnp.maximum(jnp.abs(x), jnp.abs(y))
     (largest, factor_if_larger), (smallest, factor_if_smaller) = SIDES[width(x)]
@@ -151,17 +159,18 @@ def angle(y: jax.Array, x: jax.Array) -> jax.Array:
 
 
 def one_minus_square(x: jax.Array) -> jax.Array:
-    """1 - x^2, without cancellation near 1."""
+    """Return 1 - x^2 as (1 + x)(1 - x), which does not cancel near |x| = 1."""
     return (1.0 + x) * (1.0 - x)
 
 
 @dataclass(frozen=True)
 class RareRule(TranslationRule):
-    """A rule with a second function for arguments that few lanes have.
+    """A translation rule with a second function, for arguments that few lanes have.
 
     Args:
-        is_rare: ``(arguments) -> bool``: whether the arguments need the second function.
-        rarely: The second function, a subroutine that is called only if a lane needs it.
+        is_rare: ``(*arguments) -> bool``: whether a lane's arguments need the second function.
+        rarely: The second function of the same arguments. It becomes a subroutine, which is called only if at least
+            one lane of a vector needs it.
     """
 
     is_rare: Callable[..., Any]
@@ -169,18 +178,26 @@ class RareRule(TranslationRule):
 
 
 def accuracy_rule(function: Callable[..., Any]) -> TranslationRule:
-    """The rule of a function whose primitive has a parameter ``accuracy``; a value that is not None is refused."""
+    """Return the rule of a function whose primitive has a parameter ``accuracy``, of which only None is translated."""
     return rule(function, REAL, accuracy=no_value)
 
 
 def refuse_integer_base(equation: JaxprEqn) -> str | None:
-    """The reason why a power is not translated: its base is an integer; else None. The exponent may be an integer."""
+    """Return the reason why a power is not translated, or None if it is translated.
+
+    The base must be a floating-point number, while the exponent may be an integer.
+    """
     base = equation.invars[0]
     return None if np.dtype(array_type(base).dtype) in REAL else "a power of an integer"
 
 
 def circular_rule(usually: Callable[..., Any], rarely: Callable[..., Any]) -> RareRule:
-    """The rule of a circular function, with a second function for angles of many turns."""
+    """Return the rule of a circular function.
+
+    Args:
+        usually: The function for angles of few turns.
+        rarely: The function for angles that :func:`circular.is_far` finds to have many turns.
+    """
     return RareRule(usually, Specification(REAL, {"accuracy": no_value}), circular.is_far, rarely)
 
 

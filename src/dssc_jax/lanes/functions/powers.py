@@ -37,27 +37,40 @@ SERIES = tuple(1.0 / n for n in range(27, 4, -2))
 
 
 class TwoPartNumber(NamedTuple):
-    """A number as the sum of a float64 number and a second one that is at most the first one's rounding error."""
+    """A number with about twice the digits of float64, as the sum of two float64 numbers.
+
+    Args:
+        high: The number, rounded to float64.
+        low: The remainder, at most as large as the rounding error of ``high``.
+    """
 
     high: jax.Array
     low: jax.Array
 
 
 def exact_sum(larger: jax.Array, smaller: jax.Array) -> TwoPartNumber:
-    """The exact sum of two numbers, of which the first is 0 or has the larger magnitude."""
+    """Return the exact sum of two numbers as the rounded sum and its rounding error.
+
+    Args:
+        larger: A number that is 0 or has at least the magnitude of the other one.
+        smaller: The other number.
+    """
     total = larger + smaller
     return TwoPartNumber(total, smaller - (total - larger))
 
 
 def split_digits(x: jax.Array) -> TwoPartNumber:
-    """A number as the exact sum of two numbers of 26 bits each."""
+    """Split a float64 number into the exact sum of two numbers of at most 26 bits each."""
     scaled_number = x * SPLITTER
     high = scaled_number - (scaled_number - x)
     return TwoPartNumber(high, x - high)
 
 
 def exact_product(x: jax.Array, y: jax.Array) -> TwoPartNumber:
-    """The exact product of two numbers that are neither huge nor tiny."""
+    """Return the exact product of two numbers as the rounded product and its rounding error.
+
+    The numbers must be neither so large that Dekker's splitting overflows nor so small that the error underflows.
+    """
     product = x * y
     a = split_digits(x)
     b = split_digits(y)
@@ -66,16 +79,16 @@ def exact_product(x: jax.Array, y: jax.Array) -> TwoPartNumber:
 
 
 def pair_product(x: TwoPartNumber, y: TwoPartNumber) -> TwoPartNumber:
-    """The product of two numbers that consist of two parts, to about twice the digits of float64."""
+    """Return the product of two numbers in two parts each, to about twice the digits of float64."""
     high, low = exact_product(x.high, y.high)
     return TwoPartNumber(high, low + (x.high * y.low + x.low * y.high))
 
 
 def logarithm_pair(x: jax.Array) -> TwoPartNumber:
-    """ln x of a positive float64 number, to about 64 bits.
+    """Return ln x of a positive float64 number, to about 64 bits.
 
-    With x = 2^k (1 + f) and s = f/(2 + f), the logarithm is k ln 2 + 2 atanh s, where atanh s = s + s z (1/3 + ...) and
-    z = s^2.
+    With x = 2^k (1 + f) and s = f/(2 + f), the logarithm is k ln 2 + 2 atanh s. With z = s^2, the series of atanh s is
+    s + s z (1/3 + z/5 + ...).
     """
     fraction, k = normalised_mantissa(x)
     f = fraction - 1.0
@@ -96,7 +109,7 @@ def logarithm_pair(x: jax.Array) -> TwoPartNumber:
 
 
 def magnitude(x: jax.Array, y: jax.Array) -> jax.Array:
-    """x^y = e^(y ln x) for a positive, finite x in float64."""
+    """Return x^y = e^(y ln x) for a positive, finite x in float64, to the precision of float64."""
     limited = jnp.clip(y, -LARGEST_EXPONENT, LARGEST_EXPONENT)
     log = logarithm_pair(x)
     exponent = exact_product(limited, log.high)
@@ -109,14 +122,17 @@ def magnitude(x: jax.Array, y: jax.Array) -> jax.Array:
 
 
 def power(x: jax.Array, y: jax.Array) -> jax.Array:
-    """x^y, with C99's values for zeros, infinities and NaN; NaN for a negative x and a y that is not whole."""
+    """Return x^y, with C99's values for zeros, infinities and NaN.
+
+    The result is NaN for a negative finite x and a y that is not whole. It has the dtype of x.
+    """
     y = y.astype(x.dtype)
     size = jnp.abs(x)
     is_ordinary = (size > 0.0) & (size < jnp.inf)
     base = jnp.where(is_ordinary, size, 1.0).astype(jnp.float64)
     exponent = y.astype(jnp.float64)
     value = magnitude(base, jnp.where(jnp.isnan(y), 0.0, exponent)).astype(x.dtype)
-    is_infinite = (size == 0.0) == (y < 0.0)  # 0^-y or inf^y
+    is_infinite = (size == 0.0) == (y < 0.0)  # 0 to a negative power, or infinity to a positive one
     value = jnp.where(is_ordinary, value, jnp.where(is_infinite, jnp.inf, 0.0))
     is_whole = jnp.floor(y) == y
     is_odd = is_whole & (jnp.abs(y - 2.0 * jnp.floor(0.5 * y)) == 1.0)

@@ -1,4 +1,4 @@
-"""The CUDA driver by ctypes: memory, modules and launches. It needs no software but the GPU's driver.
+"""Calls of the CUDA driver by ctypes: memory, modules and launches. No software is needed but the GPU's driver.
 
 Names, types and constants are those of NVIDIA's CUDA Driver API, version 11.4 and later.
 """
@@ -43,14 +43,16 @@ ARGUMENTS: dict[str, tuple[Any, ...]] = {
 
 
 class GpuError(Exception):
-    """There is no GPU that can run lanes, or its driver has refused a call."""
+    """The error if there is no GPU that can run lanes, or if the GPU's driver has refused a call."""
 
 
 class Driver:
-    """The driver of the first GPU that this process may use, in the context that other libraries use, too.
+    """The driver of the first GPU that this process may use.
+
+    It works in the GPU's primary context, which other libraries of the process share.
 
     Args:
-        library: The loaded library.
+        library: The driver's shared library, loaded by ctypes.
 
     Raises:
         GpuError: There is no GPU, or it is too old.
@@ -77,7 +79,7 @@ class Driver:
         """Require that the GPU is new enough to run lanes.
 
         Raises:
-            GpuError: It is too old.
+            GpuError: The GPU's compute capability is below :data:`~dssc_jax.lanes.gpu.ptx.CAPABILITY`.
         """
         major = self.attribute(MAJOR)
         minor = self.attribute(MINOR)
@@ -89,8 +91,12 @@ class Driver:
     def call(self, name: str, *arguments: Any) -> None:
         """Call a function of the driver.
 
+        Args:
+            name: Name of the function, a key of :data:`ARGUMENTS`.
+            arguments: Arguments of the function.
+
         Raises:
-            GpuError: It returns an error.
+            GpuError: The function returns an error.
         """
         status = getattr(self._library, name)(*arguments)
         if status != 0:
@@ -98,31 +104,32 @@ class Driver:
             raise GpuError(f"{name} of the CUDA driver: {self._error_name(status)}{remedy}")
 
     def _error_name(self, status: int) -> str:
-        """The driver's name of an error; "error NUMBER" if it has none."""
+        """Return the driver's name of an error number; "error NUMBER" if the driver does not know the number."""
         name = c_char_p()
         is_known = self._library.cuGetErrorName(status, byref(name)) == 0
         return name.value.decode() if is_known and name.value else f"error {status}"
 
     def attribute(self, number: int) -> int:
-        """The value of a numbered attribute of the GPU."""
+        """Return the value of an attribute of the GPU, given the attribute's number in the API."""
         value = c_int()
         self.call("cuDeviceGetAttribute", byref(value), number, self.device)
         return value.value
 
     def use(self) -> None:
-        """Set the GPU's context for the calling thread, which each thread must do before other calls."""
+        """Set the GPU's context for the calling thread; each thread must do this before its other calls."""
         self.call("cuCtxSetCurrent", self._context)
 
     def kernel(self, code: bytes, entry: str) -> c_void_p:
-        """Load PTX, and return the handle of its kernel ``entry``.
+        """Load PTX, and return the handle of its kernel named ``entry``.
 
         Raises:
-            GpuError: The driver cannot translate the PTX; the message contains the driver's own.
+            GpuError: The driver cannot translate the PTX; the message contains the driver's own message.
         """
         module = c_void_p()
         log = ctypes.create_string_buffer(LOG_BYTES)
         options = (c_int * 2)(LOG, LOG_SIZE)
-        values = (c_void_p * 2)(ctypes.addressof(log), LOG_BYTES)  # in place of pointers, as the API wants them
+        # the API takes an array of pointers, and reads the buffer's size from the bits of the second one
+        values = (c_void_p * 2)(ctypes.addressof(log), LOG_BYTES)
         try:
             self.call("cuModuleLoadDataEx", byref(module), code, len(options), options, values)
         except GpuError as error:
@@ -133,7 +140,7 @@ class Driver:
         return handle
 
     def stream(self) -> c_void_p:
-        """A new stream, whose operations the GPU performs in order."""
+        """Create a stream: a queue of operations, which the GPU performs in order."""
         stream = c_void_p()
         self.call("cuStreamCreate", byref(stream), NON_BLOCKING)
         return stream
@@ -157,15 +164,23 @@ class Driver:
         self.call("cuMemFree_v2", address)
 
     def send(self, address: int, array: np.ndarray, stream: c_void_p) -> None:
-        """Queue the copying of a contiguous array to an address on the GPU."""
+        """Queue the copy of a contiguous array to an address on the GPU; the array must live until the copy is done."""
         self.call("cuMemcpyHtoDAsync_v2", address, array.ctypes.data, array.nbytes, stream)
 
     def fetch(self, array: np.ndarray, address: int, stream: c_void_p) -> None:
-        """Queue the copying from an address on the GPU to a contiguous array."""
+        """Queue the copy from an address on the GPU into a contiguous array."""
         self.call("cuMemcpyDtoHAsync_v2", array.ctypes.data, address, array.nbytes, stream)
 
     def launch(self, kernel: c_void_p, blocks: int, threads: int, arguments: list[c_uint64], stream: c_void_p) -> None:
-        """Queue a run of a kernel, with ``threads`` threads in each of ``blocks`` blocks."""
+        """Queue a run of a kernel.
+
+        Args:
+            kernel: Handle of the kernel.
+            blocks: Number of blocks.
+            threads: Number of threads in each block.
+            arguments: Arguments of the kernel, of 64 bits each.
+            stream: The stream.
+        """
         addresses = [ctypes.addressof(argument) for argument in arguments]
         address_array = (c_void_p * len(addresses))(*addresses)
         grid = blocks, 1, 1  # along three axes
@@ -176,7 +191,7 @@ class Driver:
 
 @cache
 def driver() -> Driver:
-    """The driver of this machine's first GPU, loaded once.
+    """Return the driver of this machine's first GPU, which is loaded at the first call.
 
     Raises:
         GpuError: The machine has no driver, or no GPU that can run lanes.

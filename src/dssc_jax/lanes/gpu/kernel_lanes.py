@@ -19,7 +19,9 @@ THREADS = 256  # threads of a block; a multiprocessor holds as many of the vehic
 
 
 class KernelLanes(CompiledLanes):
-    """The program of a lane as a kernel; arguments as of :class:`CompiledLanes`, without the width.
+    """The program of a lane as a kernel, which runs one lane in each thread.
+
+    The arguments are those of :class:`CompiledLanes`; ``width`` has no effect, since a thread has one lane.
 
     Raises:
         Unsupported: An operation has no translation, or none for a GPU.
@@ -29,7 +31,14 @@ class KernelLanes(CompiledLanes):
     def translated(
         self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool
     ) -> "TracedKernel":
-        """Trace a lane; return its program and the kernel's text for LLVM."""
+        """Trace a lane; return the lane's program and the kernel's text for LLVM.
+
+        Args:
+            lane: A function of trees of scalars.
+            arguments: Its arguments, with ``jax.ShapeDtypeStruct`` in place of each scalar.
+            width: Without effect: a thread has one lane.
+            strict: Whether products and sums are never contracted.
+        """
         from dssc_jax.lanes.gpu.kernel_text import TracedKernel  # not needed if the cache has the kernel
 
         return TracedKernel(lane, arguments, strict)
@@ -43,7 +52,7 @@ class KernelLanes(CompiledLanes):
         return LoadedKernel(code, driver())
 
     def interleaved(self, lanes: int) -> int:
-        """All lanes of the batch: their recordings are stored sample by sample."""
+        """Return ``lanes``: a GPU stores the recordings of the whole batch sample by sample."""
         return lanes
 
 
@@ -52,7 +61,7 @@ class LoadedKernel:
 
     Args:
         code: PTX with the kernel :data:`~dssc_jax.lanes.interface.ENTRY_POINT`.
-        gpu: The driver.
+        gpu: The driver of the GPU.
     """
 
     def __init__(self, code: bytes, gpu: Driver) -> None:
@@ -64,10 +73,12 @@ class LoadedKernel:
     def start(
         self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
     ) -> Callable[[], float]:
-        """Begin to run all lanes, one in each thread; see :class:`~dssc_jax.lanes.interface.Loaded`.
+        """Begin to run all lanes, one in each thread of the GPU; see :class:`~dssc_jax.lanes.interface.Loaded`.
+
+        The contract's ``width`` and ``threads``, which concern a CPU, have no effect.
 
         Raises:
-            GpuError: The driver refused something, such as more memory than there is.
+            GpuError: The driver refused a call, such as a request for more memory than the GPU has.
         """
         batch = KernelBatch(self._gpu)
         try:
@@ -82,8 +93,8 @@ class LoadedKernel:
             raise
 
         def wait() -> float:
-            """Wait for the lanes and copy their results; return the time at which the lanes ended."""
-            self._gpu.use()  # perhaps in another thread than the one that started the batch
+            """Wait for the lanes and copy the results to the host; return the time at which the lanes ended [s]."""
+            self._gpu.use()  # the caller's thread may differ from the one that started the batch
             try:
                 self._gpu.wait(batch.stream)
                 end_time = time.perf_counter()
@@ -105,7 +116,7 @@ class KernelBatch:
     """
 
     def __init__(self, gpu: Driver) -> None:
-        """Open a stream, with no memory yet."""
+        """Open a stream; no memory is reserved yet."""
         gpu.use()
         self._gpu = gpu
         self._addresses: list[int] = []  # of the memory to free
@@ -113,7 +124,7 @@ class KernelBatch:
         self.stream = gpu.stream()
 
     def reserve(self, size: int) -> int:
-        """Reserve ``size`` bytes, and return their address."""
+        """Reserve ``size`` bytes on the GPU until :meth:`close`, and return their address."""
         address = self._gpu.reserve(size)
         self._addresses.append(address)
         return address
@@ -126,8 +137,8 @@ class KernelBatch:
         return address
 
     def table(self, addresses: Sequence[int]) -> int:
-        """Begin to copy a table of addresses to the GPU, with a 0 at its end; return the address of the table."""
-        return self.copy_to_gpu(np.array([*addresses, 0], np.uint64))  # never empty
+        """Begin to copy a table of addresses to the GPU, with a 0 at its end; return the address of the copy."""
+        return self.copy_to_gpu(np.array([*addresses, 0], np.uint64))  # the 0 keeps the table from being empty
 
     def close(self) -> None:
         """Wait for the stream, free the memory and close the stream."""

@@ -29,7 +29,7 @@ class KernelEmitter(Emitter):
 
     Args:
         program: The program.
-        strict: Whether the arithmetic is strict.
+        strict: Whether products and sums are never contracted.
     """
 
     def __init__(self, program: Program, strict: bool) -> None:
@@ -37,7 +37,7 @@ class KernelEmitter(Emitter):
         super().__init__(program, 1, strict, WINDOW, MANY_REGISTERS)
 
     def head(self) -> str:
-        """The first line of the kernel, whose argument ``count`` is the number of lanes of the batch.
+        """Return the first line of the kernel, whose argument ``count`` is the number of lanes of the batch.
 
         In single precision a thread has at most :data:`REGISTERS` registers; in double precision there is no limit.
         """
@@ -46,7 +46,7 @@ class KernelEmitter(Emitter):
         return f"define ptx_kernel void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %count){limit} {{"
 
     def opening(self) -> list[str]:
-        """The lines that compute the number of a thread's lane; a thread beyond the last lane ends."""
+        """Return the lines that compute the number of a thread's lane, and that end a thread beyond the last lane."""
         lines: list[str] = []
         for name, register in SPECIAL_REGISTERS.items():
             function = f"@llvm.nvvm.read.ptx.sreg.{register}.x()"
@@ -62,20 +62,26 @@ class KernelEmitter(Emitter):
         ]
 
     def closing(self) -> list[str]:
-        """The lines that end the thread."""
+        """Return the lines that end the thread."""
         return ["  br label %done", "done:", "  ret void"]
 
     def recorded_element(self, recording: Recording, index: str) -> str:
         """Write where in the column of a recording the element at an index lies for the thread's lane.
 
         The elements of all lanes at one index are neighbours, so that the threads write a block of memory together.
-        Arguments and result are as for a CPU.
+
+        Args:
+            recording: The recording; its length has no effect, because the columns of all lanes are interleaved.
+            index: Register of the index, an integer of 64 bits.
+
+        Returns:
+            The register of the element's position in the column.
         """
         start = self.emit(f"mul i64 {index}, %count")
         return self.emit(f"add i64 {start}, %lane")
 
     def foreign(self, function: ForeignFunction, value: Value) -> str:
-        """Refuse a function of C.
+        """Refuse a function of C, whose code exists for the CPU alone; ``value`` has no effect.
 
         Raises:
             Unsupported: Always.
@@ -83,10 +89,19 @@ class KernelEmitter(Emitter):
         raise Unsupported("a GPU cannot call it; run the study on a CPU", f"the function of C '{function.symbol}'")
 
     def arithmetic(self, operation: str, dtype: Any, wide: bool, names: Sequence[str]) -> str:
-        """As for a CPU.
+        """Write an operation whose result has the type of its operands, with the instructions for a CPU.
+
+        Args:
+            operation: The operation.
+            dtype: Dtype of operands and result.
+            wide: Whether they are vectors of lanes.
+            names: Register or literal of each operand.
+
+        Returns:
+            The register of the result.
 
         Raises:
-            Unsupported: The operation is not exact on a GPU.
+            Unsupported: The operation is a remainder of floating-point numbers, which is not exact on a GPU.
         """
         if operation == "rem" and dtype.kind == "f":  # LLVM subtracts a multiple of a rounded quotient
             raise Unsupported("it is not exact on a GPU; run the study on a CPU", f"'rem' of {dtype}")
@@ -94,10 +109,15 @@ class KernelEmitter(Emitter):
 
 
 class TracedKernel(TracedLanes):
-    """The program of a lane and the kernel's text for LLVM; arguments as of :class:`TracedLanes`.
+    """The program of a lane and the kernel's text for LLVM.
+
+    Args:
+        lane: A function of trees of scalars.
+        arguments: Its arguments, with ``jax.ShapeDtypeStruct`` in place of each scalar.
+        strict: Whether products and sums are never contracted.
 
     Raises:
-        Unsupported: An operation has no translation.
+        Unsupported: An operation has no translation, or none for a GPU.
     """
 
     def __init__(self, lane: Callable[..., Any], arguments: tuple[Any, ...], strict: bool) -> None:

@@ -14,7 +14,7 @@ LEVEL = 2  # optimisation level of LLVM's code generation
 
 
 def target_machine() -> Any:
-    """LLVM's description of the GPU for which it compiles."""
+    """Return LLVM's description of the GPU for which it compiles: the oldest one that is supported."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     major, minor = CAPABILITY
@@ -22,7 +22,7 @@ def target_machine() -> Any:
 
 
 def ptx(text: str) -> bytes:
-    """Compile the text of a module to PTX."""
+    """Compile the text of a module of LLVM to PTX, NVIDIA's portable assembly language."""
     module = llvm.parse_assembly(text)
     machine = target_machine()
     module.triple = TRIPLE
@@ -31,11 +31,11 @@ def ptx(text: str) -> bytes:
 
 
 def translator() -> tuple[str, ...]:
-    """Everything that determines the PTX of a module beside its text: versions and settings."""
+    """Return all that determines the PTX of a module, apart from the module's text: versions and settings."""
     return llvmlite.__version__, str(llvm.llvm_version_info), TRIPLE, str(CAPABILITY), FEATURES, str(LEVEL)
 
 
 def code_name(text: str) -> str:
-    """The name in the cache of a module's PTX: a digest of the text and of :func:`translator`."""
+    """Return the name under which the cache keeps a module's PTX: a digest of the text and of :func:`translator`."""
     lines = "\n".join((text, *translator()))
     return f"kernel-{hashlib.sha256(lines.encode()).hexdigest()}"

@@ -10,18 +10,23 @@ from dssc_jax.lanes.llvm.function_text import scalar_type
 
 
 def column_bytes(place: MemoryPlace, width: int) -> int:
-    """Bytes of a buffer that the vector of a number takes, in whole lines of the cache; ``width`` is its lanes."""
+    """Return the bytes of a buffer that hold one number of each lane, rounded up to whole lines of the cache.
+
+    Args:
+        place: Place of the number in a call's memory, which gives its dtype.
+        width: Number of lanes in a vector.
+    """
     lines = -(-place.dtype.itemsize * width // ALIGNMENT)  # rounded up
     return lines * ALIGNMENT
 
 
 def buffer_bytes(places: tuple[MemoryPlace, ...], width: int) -> int:
-    """Bytes of a buffer for the vectors of some numbers; ``width`` is the number of lanes of a vector."""
+    """Return the bytes of a buffer for the vectors of some numbers; ``width`` is the number of lanes in a vector."""
     return sum(column_bytes(place, width) for place in places)
 
 
 def columns(places: tuple[MemoryPlace, ...], width: int) -> list[tuple[MemoryPlace, int]]:
-    """The place in a call's memory of each number, with the offset of the number's vector in a buffer [bytes].
+    """Return, for each number, its place in a call's memory and the offset of its vector in a buffer [bytes].
 
     Args:
         places: Places of the numbers.
@@ -36,14 +41,15 @@ def columns(places: tuple[MemoryPlace, ...], width: int) -> list[tuple[MemoryPla
 
 
 def over_lanes(function: ForeignFunction, width: int) -> str:
-    """Name of the function that calls a function of C for each lane of a vector."""
+    """Return the name of the generated function that calls a function of C for each of ``width`` lanes."""
     return f"{function.symbol}_over_{width}"
 
 
 def definition(function: ForeignFunction, width: int) -> list[str]:
-    """The lines of the function that calls a function of C for each lane of a vector.
+    """Return the lines of the generated function that calls a function of C for each of ``width`` lanes.
 
-    Its arguments are the addresses of the buffers of operands and results; ``width`` is the number of lanes.
+    The generated function has two arguments: the address of the buffer with the operands, and that of the buffer for
+    the results.
     """
     lines = [
         f"define internal void @{over_lanes(function, width)}(ptr noalias %in, ptr noalias %out) #2 {{",
@@ -71,13 +77,13 @@ def definition(function: ForeignFunction, width: int) -> list[str]:
 
 
 def move_lines(name: str, place: MemoryPlace, column: tuple[str, int], to_memory: bool) -> list[str]:
-    """The lines that copy one number of the present lane between a buffer and the memory of the call.
+    """Return the lines that copy one number of the present lane between a buffer and the memory of the call.
 
     Args:
         name: Prefix of the names of registers.
         place: Place of the number in the memory.
-        column: Name of the buffer, and offset of the number's vector in it [bytes].
-        to_memory: Whether the number goes to the memory.
+        column: Name of the buffer, and offset of the number's vector in the buffer [bytes].
+        to_memory: True: from the buffer to the memory; false: from the memory to the buffer.
     """
     kind = scalar_type(place.dtype)
     align = place.dtype.itemsize

@@ -10,18 +10,18 @@ import numpy as np
 from dssc_jax.lanes.program import BOOL, Subroutine, Value
 
 FAST, STRICT = "contract nsz ", ""
-"""LLVM's flags of arithmetic: a product and a sum may be contracted, and zeros may have any sign; or neither."""
+"""LLVM's flags of arithmetic. FAST allows LLVM to contract a product and a sum, and to ignore the sign of zero."""
 
 
 def scalar_type(dtype: np.dtype) -> str:
-    """LLVM's type of a dtype."""
+    """Return LLVM's type of a scalar of a dtype, such as ``double`` or ``i32``."""
     if dtype.kind == "f":
         return {4: "float", 8: "double"}[dtype.itemsize]
     return "i1" if dtype == BOOL else f"i{8 * dtype.itemsize}"
 
 
 def literal(number: Any, dtype: np.dtype) -> str:
-    """A number as a literal of LLVM; a floating-point number, of any size, by its bits as a float64 number."""
+    """Return a number as a literal of LLVM, which takes a floating-point number of any size as the bits of float64."""
     if dtype == BOOL:
         return "true" if number else "false"
     if dtype.kind == "f":
@@ -31,7 +31,7 @@ def literal(number: Any, dtype: np.dtype) -> str:
 
 
 def positions(lanes: range) -> str:
-    """The literal of the positions of lanes, as LLVM's shufflevector takes them."""
+    """Return the literal of the positions of lanes, the mask of LLVM's instruction shufflevector."""
     numbers = ", ".join(f"i32 {lane}" for lane in lanes)
     return f"<{len(lanes)} x i32> <{numbers}>"
 
@@ -41,8 +41,8 @@ class RegisterUse(NamedTuple):
 
     Args:
         stored_constants: Whether operations read constants from memory, as whole vectors.
-        piece_width: Lanes of a piece, if each operation is written once for each piece of a vector; 0 if it is written
-            for the whole vector. A vector consists of 1, 2, 4 or 8 pieces.
+        piece_width: Number of lanes in a piece of a vector, if each operation is written once for each piece. A vector
+            consists of 1, 2, 4 or 8 pieces. 0: each operation is written for the whole vector.
     """
 
     stored_constants: bool = False
@@ -57,9 +57,9 @@ class FunctionText:
     """The lines of a function of LLVM so far, with the register of each value.
 
     Args:
-        width: Lanes of a vector.
+        width: Number of lanes in a vector.
         flags: :data:`FAST` or :data:`STRICT`.
-        register_use: How it spares registers.
+        register_use: How the function spares registers.
         lines: The instructions so far.
         tables: Definitions of constant tables.
         names: Register of each value, by the value's id and whether it is a vector.
@@ -70,7 +70,7 @@ class FunctionText:
         allocated: Instructions that reserve memory, for the start of the function.
         slots: Register with the address of each slot, by the slot's id.
         pieces: Registers of the pieces of each value, by the value's id.
-        piece: Position of the piece for which an operation is being written; None if it is written for whole vectors.
+        piece: Position of the piece for which an operation is being written; None: it is written for whole vectors.
     """
 
     width: int
@@ -91,23 +91,31 @@ class FunctionText:
     # Names and types
 
     def new_name(self, prefix: str = "v") -> str:
-        """A name for a register or label that no other one has: the prefix and a number."""
+        """Return an unused name for a register or label: the prefix and a number."""
         self.count += 1
         return f"{prefix}{self.count}"
 
     def kind(self, dtype: np.dtype, vector: bool) -> str:
-        """LLVM's type of a scalar, or of a vector of lanes."""
+        """Return LLVM's type of a scalar or, if ``vector`` and a vector has several lanes, of a vector of lanes."""
         scalar = scalar_type(dtype)
         return f"<{self.width} x {scalar}>" if vector and self.width > 1 else scalar
 
     def emit(self, text: str, prefix: str = "v") -> str:
-        """Write an instruction; return the register of its result."""
+        """Write an instruction; return the register of its result.
+
+        Args:
+            text: The instruction, without the result.
+            prefix: Prefix of the register's name.
+        """
         name = f"%{self.new_name(prefix)}"
         self.lines.append(f"  {name} = {text}")
         return name
 
     def read(self, value: Value, vector: bool) -> str:
-        """The register or literal of a value, as a vector or as a scalar; of one piece while a piece is written."""
+        """Return the register or literal of a value, as a vector or as a scalar.
+
+        While an operation is written for a piece of a vector, the register is that of the value's same piece.
+        """
         vector = vector and self.width > 1
         if value.operation == "constant":
             number = literal(value.detail, value.dtype)
@@ -117,7 +125,11 @@ class FunctionText:
         return self.names[id(value), vector]
 
     def operand(self, value: Value, vector: bool) -> str:
-        """As :meth:`read`, for operations that may read a constant vector of floating-point numbers from memory."""
+        """Return the register or literal of a value, for operations that may read a constant from memory.
+
+        The arguments are those of :meth:`read`. If the processor has few registers, a constant vector of floating-point
+        numbers other than 0 is stored in memory, and an instruction that loads it is written.
+        """
         is_number = value.operation == "constant" and value.dtype.kind == "f" and value.detail != 0
         is_stored = self.register_use.stored_constants and vector and self.width > 1 and is_number
         if not is_stored:
@@ -129,20 +141,26 @@ class FunctionText:
         return self.emit(f"load {kind}, ptr {name}, align 64", "c")
 
     def is_vector(self, value: Value) -> bool:
-        """Whether a value is computed as a vector."""
+        """Whether a value is computed as a vector: it varies between lanes, and there are several lanes."""
         return value.varying and self.width > 1
 
     def splat(self, dtype: np.dtype, name: str) -> str:
-        """Write a vector whose elements all equal the scalar in a register; return its register."""
+        """Write the instructions for a vector whose elements all equal a scalar; return the vector's register.
+
+        Args:
+            dtype: Dtype of the scalar.
+            name: Register of the scalar.
+        """
         scalar = scalar_type(dtype)
         kind = self.kind(dtype, True)
         inserted = self.emit(f"insertelement {kind} poison, {scalar} {name}, i64 0", "s")
         return self.emit(f"shufflevector {kind} {inserted}, {kind} poison, <{self.width} x i32> zeroinitializer", "s")
 
     def name(self, value: Value, name: str) -> None:
-        """Store the register of a value; a uniform value is also written as a vector, whose register is stored, too.
+        """Store ``name`` as the register of a value.
 
-        Where operations are written for pieces, the pieces of the vector are stored as well.
+        For a uniform value, a vector of equal elements is also written, and its register stored. Where operations are
+        written for pieces of a vector, the pieces are written and their registers stored as well.
         """
         vector = self.is_vector(value)
         self.names[id(value), vector] = name
@@ -152,7 +170,12 @@ class FunctionText:
             self.pieces[id(value)] = self.separated(value.dtype, self.names[id(value), True])
 
     def separated(self, dtype: np.dtype, vector: str) -> list[str]:
-        """Write the pieces of the vector in a register; return their registers."""
+        """Write the instructions that split a vector into its pieces; return the pieces' registers.
+
+        Args:
+            dtype: Dtype of the elements.
+            vector: Register of the vector.
+        """
         kind = self.kind(dtype, True)
         piece_width = self.register_use.piece_width
         registers = []
@@ -162,7 +185,12 @@ class FunctionText:
         return registers
 
     def joined(self, dtype: np.dtype, pieces: Sequence[str]) -> str:
-        """Write the vector that consists of pieces, given by their registers; return its register."""
+        """Write the instructions that join pieces, two at a time, to a vector; return the vector's register.
+
+        Args:
+            dtype: Dtype of the elements.
+            pieces: Registers of the pieces, in order.
+        """
         scalar = scalar_type(dtype)
         registers = list(pieces)
         width = self.register_use.piece_width
@@ -190,22 +218,32 @@ class FunctionText:
         return self.emit(f"call {result} @{function}({typed_registers})")
 
     def suffix(self, dtype: np.dtype, vector: bool) -> str:
-        """The name that a type has within the names of LLVM's functions, such as "v4f64" in llvm.sqrt.v4f64."""
+        """Return the name of a type within the names of LLVM's functions, such as "v4f64" in llvm.sqrt.v4f64.
+
+        Args:
+            dtype: Dtype of a scalar.
+            vector: Whether the type is that of a vector of lanes.
+        """
         scalar = f"f{8 * dtype.itemsize}" if dtype.kind == "f" else scalar_type(dtype)
         return f"v{self.width}{scalar}" if vector and self.width > 1 else scalar
 
     def column(self, array: str, position: int) -> str:
-        """Write the loading of the address of an input's or output's column; return its register."""
+        """Write the instructions that load the address of a column; return the register with the address.
+
+        Args:
+            array: Name of the table of addresses, ``inputs`` or ``outputs``.
+            position: Position of the column in the table.
+        """
         place = self.emit(f"getelementptr ptr, ptr %{array}, i64 {position}", "p")
         return self.emit(f"load ptr, ptr {place}", "p")
 
     # Basic blocks
 
     def begin(self, label: str) -> None:
-        """Begin a basic block."""
+        """Begin a basic block with this label."""
         self.lines.append(f"{label}:")
         self.label = label
 
     def current(self) -> str:
-        """The label of the basic block that is being written."""
+        """Return the label of the basic block that is being written."""
         return self.label

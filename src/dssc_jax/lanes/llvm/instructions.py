@@ -32,7 +32,10 @@ class Instructions(FunctionText):
     """Writes LLVM's instructions for values, and stores the register of each value."""
 
     def compute(self, value: Value) -> None:
-        """Write the instructions of one value, and store its register; a vector may be written piece by piece."""
+        """Write the instructions of one value, and store its register.
+
+        If the processor has few registers, a vector is written piece by piece; see :class:`RegisterUse`.
+        """
         piece_width = self.register_use.piece_width
         if not piece_width or not self.is_vector(value) or value.operation in WHOLE:
             self.name(value, self.value(value))
@@ -49,12 +52,20 @@ class Instructions(FunctionText):
         self.names[id(value), True] = self.joined(value.dtype, registers)
 
     def any_lane(self, mask: str) -> str:
-        """Write whether a truth value is true in any lane of a vector; return the register."""
+        """Write the test whether a truth value is true in any lane of a vector; return the register of the result.
+
+        Args:
+            mask: Register of the vector of truth values.
+        """
         kind = self.kind(BOOL, True)
         return self.call(f"llvm.vector.reduce.or.v{self.width}i1", "i1", (kind, mask))
 
     def value(self, value: Value) -> str:
-        """Write the instructions of one value; return its register."""
+        """Write the instructions of one value; return the value's register.
+
+        Args:
+            value: The value, whose operands are written already.
+        """
         operation = value.operation
         dtype = value.dtype
         wide = self.is_vector(value)
@@ -88,7 +99,12 @@ class Instructions(FunctionText):
         return self.arithmetic(operation, dtype, wide, names)
 
     def input(self, value: Value, wide: bool) -> str:
-        """Write the loading of an input; return its register."""
+        """Write the instructions that load an input; return its register.
+
+        Args:
+            value: The input; its detail is the position among the inputs.
+            wide: Whether to load the elements of a whole vector of lanes.
+        """
         column = self.column("inputs", value.detail)
         dtype = stored_type(value.dtype)
         place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 %lane")
@@ -96,16 +112,23 @@ class Instructions(FunctionText):
         return self.from_stored(value.dtype, wide, loaded_register)
 
     def from_stored(self, dtype: np.dtype, wide: bool, register: str) -> str:
-        """The register of a loaded value in its own type: a truth value, stored as a byte, is compared with 0."""
+        """Return the register of a loaded value in its own type; memory holds a truth value as a byte.
+
+        Args:
+            dtype: Dtype of the value. For a truth value, a comparison of the byte with 0 is written.
+            wide: Whether the value is a vector of lanes.
+            register: Register of the loaded value.
+        """
         if dtype != BOOL:
             return register
         byte = stored_type(BOOL)
         return self.compare("ne", byte, wide, [register, self.zero(byte, wide)])
 
     def access(self, value: Value) -> str:
-        """Write a ``memory``, ``read`` or ``write`` of a slot; return the register of the element that is read.
+        """Write a ``memory``, ``read`` or ``write`` of a slot; return the register of the result.
 
-        The other two return a token, which has no content of its own, so it is a zero.
+        A ``read`` returns the element. The other two return a token, which only orders the accesses. No instruction
+        reads it, so its number is 0.
         """
         slot: Slot = value.detail
         token = self.zero(value.dtype, self.width > 1)
@@ -122,7 +145,7 @@ class Instructions(FunctionText):
         return token
 
     def reserve(self, slot: Slot) -> None:
-        """Reserve the memory of a slot at the start of the function, and write the clearing of it here."""
+        """Reserve the memory of a slot at the start of the function, and write the instruction that clears it here."""
         place = self.slots[id(slot)] = f"%{self.new_name('slot')}"
         self.allocated.append(f"  {place} = alloca [{slot.length} x {self.kind(slot.dtype, True)}], align 64")
         function = "llvm.memset.p0.i64"
@@ -131,10 +154,16 @@ class Instructions(FunctionText):
         self.lines.append(f"  call void @{function}(ptr align 64 {place}, i8 0, i64 {size}, i1 false)")
 
     def rarely(self, value: Value, wide: bool) -> str:
-        """Write the choice between a value and the result of a subroutine, called only if a lane needs it.
+        """Write the choice between a usual value and the result of a subroutine, lane by lane.
+
+        The subroutine is called only if at least one lane needs it.
+
+        Args:
+            value: The chosen value, an operation ``rarely``.
+            wide: Whether the value is a vector of lanes.
 
         Returns:
-            The register of the result.
+            The register of the chosen value.
         """
         condition, usual_value, *arguments = value.operands
         kind = self.kind(value.dtype, wide)
@@ -190,19 +219,30 @@ class Instructions(FunctionText):
         return result
 
     def opaque(self, kind: str, name: str) -> str:
-        """Write a copy of a number, which LLVM does not analyse; return its register.
+        """Write a copy of a number that stops LLVM's analysis of the number's sum; return the copy's register.
 
         LLVM's loop strength reduction tries all orders of a sum of scalars that contains the loop's counter. The words
-        of random numbers are such sums, of twenty rounds, and would take it several seconds.
+        of random numbers are such sums, of twenty rounds, and the pass would take several seconds for them.
+
+        Args:
+            kind: LLVM's type of the number.
+            name: Register of the number.
         """
         return self.emit(f"freeze {kind} {name}")
 
     def zero(self, dtype: np.dtype, wide: bool) -> str:
-        """The literal of a scalar 0, or of a vector of zeros if ``wide``."""
+        """Return the literal of a scalar 0, or of a vector of zeros if ``wide``."""
         return "zeroinitializer" if wide else literal(0, dtype)
 
     def compare(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:
-        """Write a comparison of numbers of a dtype; return its register. With NaN, only ``ne`` is true."""
+        """Write a comparison of two numbers; return its register. If one is NaN, only ``ne`` is true.
+
+        Args:
+            operation: The comparison, a key of :data:`~dssc_jax.lanes.operations.COMPARISONS`.
+            dtype: Dtype of the numbers.
+            wide: Whether they are vectors of lanes.
+            names: Register or literal of each number.
+        """
         kind = self.kind(dtype, wide)
         if dtype.kind == "f":
             return self.emit(f"fcmp {FLOAT_COMPARISONS[operation]} {kind} {names[0]}, {names[1]}")
@@ -212,15 +252,16 @@ class Instructions(FunctionText):
         return self.emit(f"icmp {sign}{operation} {kind} {names[0]}, {names[1]}")
 
     def extreme(self, operation: str, value: Value, wide: bool, names: Sequence[str]) -> str:
-        """Write the larger or smaller of two numbers, NaN if either is; return its register.
+        """Write the larger or smaller of two numbers, NaN if either is NaN; return its register.
 
-        The bits of numbers without sign are compared as integers, among which NaN is the largest. For other numbers a
-        ``select`` returns its last operand if an operand is NaN, so a constant, which is none, comes first.
+        Floating-point numbers whose sign bit is always 0 are compared by their bits as integers, among which NaN is the
+        largest. For other numbers, the comparison with a NaN is false, and ``select`` returns its last operand. So a
+        constant operand, which is not NaN, comes first.
 
         Args:
             operation: ``max`` or ``min``.
             value: The result.
-            wide: Whether it is a vector of lanes.
+            wide: Whether the result is a vector of lanes.
             names: Register or literal of each operand.
         """
         kind = self.kind(value.dtype, wide)
@@ -243,7 +284,15 @@ class Instructions(FunctionText):
         return self.emit(f"select {mask} {is_nan}, {kind} {first}, {kind} {extreme_register}")
 
     def largest_by_bits(self, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:
-        """Write the larger of two floating-point numbers without sign, as integers; return its register."""
+        """Write the larger of two floating-point numbers whose sign bit is 0; return its register.
+
+        The order of such numbers is that of their bits as integers.
+
+        Args:
+            dtype: Dtype of the numbers.
+            wide: Whether they are vectors of lanes.
+            names: Register or literal of each number.
+        """
         integer = np.dtype(f"i{dtype.itemsize}")
         kind = self.kind(integer, wide)
         bits = [(kind, self.convert("bitcast", dtype, integer, wide, name)) for name in names]
@@ -251,12 +300,12 @@ class Instructions(FunctionText):
         return self.convert("bitcast", integer, dtype, wide, largest)
 
     def convert(self, operation: str, source: np.dtype, dtype: np.dtype, wide: bool, name: str) -> str:
-        """Write the conversion of a number or, for ``bitcast``, of its bits; return its register.
+        """Write the conversion of a number to another dtype; return the register of the result.
 
         Args:
-            operation: ``bitcast``, or any conversion of numbers.
-            source: Type of the number.
-            dtype: Type of the result.
+            operation: ``bitcast``, which keeps the bits, or ``convert``, which keeps the number.
+            source: Dtype of the number.
+            dtype: Dtype of the result.
             wide: Whether both are vectors of lanes.
             name: Register or literal of the number.
         """
@@ -283,7 +332,12 @@ class Instructions(FunctionText):
         return self.emit(f"{instruction} {old} {name} to {new}")
 
     def lookup(self, value: Value, wide: bool) -> str:
-        """Write the reading of an element of a constant table, at an index limited to its end; return its register."""
+        """Write the instructions that read an element of a constant table; return the element's register.
+
+        Args:
+            value: The element; its detail is the table. An index beyond the end gives the last element.
+            wide: Whether the element is a vector, with an index of each lane.
+        """
         index = value.operands[0]
         dtype = stored_type(value.dtype)
         scalar = scalar_type(dtype)
@@ -302,7 +356,12 @@ class Instructions(FunctionText):
         return self.from_stored(value.dtype, True, self.emit(f"call {kind} @{function}({arguments})"))
 
     def define_table(self, table: np.ndarray, dtype: np.dtype) -> str:
-        """Define a constant table of stored numbers of a dtype; return its name."""
+        """Define a constant table in the module; return its name.
+
+        Args:
+            table: The numbers, shape (n,).
+            dtype: Dtype in which memory holds them.
+        """
         scalar = scalar_type(dtype)
         name = f"@t{len(self.tables)}"
         numbers = ", ".join(f"{scalar} {literal(number, dtype)}" for number in table)
@@ -310,7 +369,11 @@ class Instructions(FunctionText):
         return name
 
     def limited_index(self, index: Value, largest: int, wide: bool) -> str:
-        """Write an index, at most ``largest``, since precomputation goes beyond a loop's end; return its register."""
+        """Write the smaller of an index and ``largest``; return its register.
+
+        An index can be too large because precomputation computes values for turns beyond a loop's end. As an unsigned
+        number, a negative index is too large as well.
+        """
         kind = self.kind(index.dtype, wide)
         limit = f"splat ({scalar_type(index.dtype)} {largest})" if wide else str(largest)
         function = f"llvm.umin.{self.suffix(index.dtype, wide)}"

@@ -29,7 +29,7 @@ PARTS = 32  # parts of a batch for each thread; many, because neither parts nor 
 
 
 def usable_cores() -> int:
-    """Number of cores to use: all available cores, or fewer if the environment variable asks for it."""
+    """Return the number of cores to use: all available ones, or fewer if :data:`CORES_VARIABLE` says so, at least 1."""
     limit = os.environ.get(CORES_VARIABLE, "")
     if not limit.isdecimal():
         return available_cores()
@@ -37,29 +37,29 @@ def usable_cores() -> int:
 
 
 def available_cores() -> int:
-    """Number of cores on which the system lets this process run."""
+    """Return the number of cores on which the system lets this process run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache
 def features() -> Any:
-    """The features of this processor: a mapping from LLVM's names to whether the processor has the feature."""
+    """Return the features of this processor: for each of LLVM's names, whether the processor has the feature."""
     return llvm.get_host_cpu_features()
 
 
 @cache
 def scheduling_model() -> str:
-    """Name of the processor for which LLVM orders instructions, though it uses all instructions of this processor.
+    """Return the name of the processor for which LLVM orders instructions.
 
-    On x86-64 it is Atom, which executes instructions in order. For Atom, LLVM fills waiting times with independent
-    instructions, as :mod:`dssc_jax.lanes.passes.scheduling` does. For other processors it often restores the order of
-    the text.
+    LLVM still uses all instructions of this processor. On x86-64 the name is that of Atom, which executes instructions
+    in order. For Atom, LLVM fills waiting times with independent instructions, as
+    :mod:`dssc_jax.lanes.passes.scheduling` does. For other processors, LLVM often restores the order of the text.
     """
     return "atom" if llvm.get_process_triple().startswith("x86_64") else llvm.get_host_cpu_name()
 
 
 def code_settings() -> list[str]:
-    """LLVM's version and the processor, in words for a manifest."""
+    """Return LLVM's version and the processor's name, in words for the manifest of a study."""
     return [f"llvm {'.'.join(map(str, llvm.llvm_version_info))}", f"processor {llvm.get_host_cpu_name()}"]
 
 
@@ -72,15 +72,16 @@ def add_symbol(symbol: str, address: int) -> None:
 def has_near_constants() -> bool:
     """Whether compiled code reads each constant from memory where it is used, at a place near the instruction.
 
-    On x86-64 without AVX-512 there are 16 vector registers, too few to hold constants. This way needs a memory manager
-    that has been tried with Linux's object files only.
+    This is so on Linux and x86-64 without AVX-512. Such a processor has 16 vector registers, too few to hold constants.
+    Other systems are excluded because the memory manager that places code and constants near each other has been tried
+    with Linux's object files only.
     """
     triple = llvm.get_process_triple()
     return triple.startswith("x86_64") and "linux" in triple and vector_bits() < 512
 
 
 def target_machine() -> Any:
-    """A new description of this processor for LLVM; it is new each time, because an engine takes possession of it."""
+    """Return a new description of this processor for LLVM. Each call makes one, because an engine takes it over."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     relocation, model = ("pic", "small") if has_near_constants() else ("default", "jitdefault")
@@ -91,7 +92,7 @@ def target_machine() -> Any:
 
 @cache
 def vector_bits() -> int:
-    """Number of bits of this processor's widest vectors that LLVM can use."""
+    """Return the number of bits of the widest vectors that LLVM can use on this processor: 512, 256 or 128."""
     for name, bits in (("avx512f", 512), ("avx", 256)):
         if features().get(name):
             return bits
@@ -99,14 +100,14 @@ def vector_bits() -> int:
 
 
 def code_name(text: str) -> str:
-    """The name in the cache of a module's machine code: a digest of the text and of :func:`translator`."""
+    """Return the name under which the cache keeps a module's machine code: a digest of text and :func:`translator`."""
     lines = "\n".join((text, *translator()))
     return f"lanes-{hashlib.sha256(lines.encode()).hexdigest()}"
 
 
 @cache
 def translator() -> tuple[str, ...]:
-    """Everything that determines the machine code of a module beside its text: LLVM's version and its settings."""
+    """Return all that determines the machine code of a module, apart from its text: LLVM's version and settings."""
     model = scheduling_model()
     instructions = features().flatten()
     addresses = str(has_near_constants())
@@ -133,7 +134,7 @@ def parsed_module(text: str) -> Any:
 
 
 def engine_of(module: Any) -> Any:
-    """LLVM's engine for a module, which loads code and constants near each other where instructions need that."""
+    """Return LLVM's engine for a module; it loads code and constants near each other where instructions need that."""
     manager = has_near_constants() or None  # llvmlite's memory manager, which is not the default everywhere
     return llvm.create_mcjit_compiler(module, target_machine(), use_lmm=manager)
 
@@ -159,13 +160,16 @@ class LoadedCode:
         self._run_lanes = signature(self.address(ENTRY_POINT))
 
     def address(self, symbol: str) -> int:
-        """The address of a function of the code."""
+        """Return the address of a function of the code, given the function's symbol."""
         return int(self._engine.get_function_address(symbol))
 
     def start(
         self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
     ) -> Callable[[], float]:
-        """Begin to run all lanes; see :class:`~dssc_jax.lanes.interface.Loaded`."""
+        """Begin to run all lanes on ``threads`` threads; see :class:`~dssc_jax.lanes.interface.Loaded`.
+
+        The batch is divided into parts of whole vectors. A thread that has finished a part takes the next one.
+        """
         vectors_of_part = max(1, rounded_up(lanes, width * threads * PARTS))
         part = vectors_of_part * width  # lanes that a thread takes at once
         first_lanes = iter(range(0, lanes, part))
@@ -173,7 +177,10 @@ class LoadedCode:
         stop_event = threading.Event()
 
         def run_parts() -> float:
-            """Run parts until none is left; return the time at the end. It keeps the columns in memory meanwhile."""
+            """Run parts of the batch until none is left; return the time at the end [s].
+
+            This function refers to the columns, which must stay in memory while the machine code uses their addresses.
+            """
             input_addresses = addresses(inputs)
             output_addresses = addresses(outputs)
             while True:
@@ -189,28 +196,34 @@ class LoadedCode:
         futures: list[Future[float]] = [pool.submit(run_parts) for _ in range(busy_threads)]
 
         def wait() -> float:
-            """Wait for all threads; return the time at which the last one ended."""
+            """Wait for all threads; return the time at which the last one ended [s].
+
+            An exception while waiting, such as Ctrl-C, stops the threads after the parts that they are running.
+            """
             try:
                 return max(future.result() for future in futures)
             except BaseException:  # such as Ctrl-C: the threads finish their parts and end
                 stop_event.set()
                 raise
 
-        weakref.finalize(wait, stop_event.set)  # if the caller drops the function, nobody waits
+        weakref.finalize(wait, stop_event.set)  # if the caller drops ``wait``, nobody needs the remaining parts
         return wait
 
 
 def rounded_up(numerator: int, denominator: int) -> int:
-    """The quotient of two positive integers, rounded up to a whole number."""
+    """Return the quotient of two positive integers, rounded up to a whole number."""
     return -(-numerator // denominator)
 
 
 def addresses(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """The addresses of contiguous arrays, as an array; [0] for no array, since it must have an address itself."""
+    """Return the addresses of contiguous arrays as an array; [0] if there are none.
+
+    Machine code takes the address of the returned array, so that array must not be empty.
+    """
     return np.array([column.ctypes.data for column in columns] or [0], np.uintp)
 
 
 @cache
 def workers(threads: int) -> ThreadPoolExecutor:
-    """The pool of a number of threads, one for the whole process."""
+    """Return the pool of a number of threads; the process has one pool for each number."""
     return ThreadPoolExecutor(threads, thread_name_prefix="lanes")

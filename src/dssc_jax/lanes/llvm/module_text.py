@@ -1,7 +1,7 @@
 """The text for LLVM of a lane's program: one function that runs all lanes of a range, a vector of lanes at a time.
 
 Fast arithmetic allows a product and a sum to be contracted, with one rounding, and ignores the sign of zero. It assumes
-nothing else: a NaN is an outcome. Strict arithmetic allows neither.
+nothing else; in particular, a NaN is a possible result. Strict arithmetic allows neither.
 """
 
 from collections.abc import Sequence, Set
@@ -38,14 +38,14 @@ class Emitter(Instructions):
 
     Args:
         program: The program.
-        width: Lanes of a vector.
-        strict: Whether the arithmetic is strict.
+        width: Number of lanes in a vector.
+        strict: Whether products and sums are never contracted.
         window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
         register_use: How the function spares registers.
     """
 
     def __init__(self, program: Program, width: int, strict: bool, window: int, register_use: RegisterUse) -> None:
-        """Begin without lines, with the values that a result needs."""
+        """Begin without lines, and find the nodes on which a result depends."""
         super().__init__(width, STRICT if strict else FAST, register_use)
         self.program = program
         self.window = window
@@ -70,11 +70,11 @@ class Emitter(Instructions):
         return "\n".join([*head_lines, *self.lines, "}", *functions, *ATTRIBUTES, ""])
 
     def head(self) -> str:
-        """Write the first line of the function, whose arguments ``first`` and ``last`` are the range of lanes."""
+        """Return the first line of the function, which runs the lanes from ``first`` to just before ``last``."""
         return f"define void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %first, i64 %last) #0 {{"
 
     def opening(self) -> list[str]:
-        """Write the lines before the first instruction of a vector of lanes."""
+        """Return the lines before the first instruction of a vector of lanes."""
         return [
             "  %some = icmp ult i64 %first, %last",
             "  br i1 %some, label %lanes, label %done",
@@ -83,7 +83,7 @@ class Emitter(Instructions):
         ]
 
     def closing(self) -> list[str]:
-        """Write the lines after the last store of a vector of lanes."""
+        """Return the lines after the last store of a vector of lanes."""
         return [
             f"  %next = add i64 %lane, {self.width}",
             "  %more = icmp ult i64 %next, %last",
@@ -93,7 +93,7 @@ class Emitter(Instructions):
         ]
 
     def functions(self) -> list[str]:
-        """Write the definitions of the subroutines and functions of C that are called."""
+        """Return the definitions of the subroutines that are called, and of the functions that call functions of C."""
         lines: list[str] = []
         for name, (subroutine, width) in self.subroutines.items():
             emitter = SubroutineEmitter(subroutine.program, width, self.strict, 0, MANY_REGISTERS)
@@ -120,11 +120,11 @@ class Emitter(Instructions):
                 self.branch(node)
 
     def is_needed(self, node: Node) -> bool:
-        """Whether a result depends on a node that is not precomputed."""
+        """Whether a node must be written: a result depends on it, and it is not precomputed."""
         return id(node) in self.alive and id(node) not in self.computed_ids
 
     def loop(self, loop: CodeLoop) -> None:
-        """Write a loop that tests at its end; uniform values are precomputed where that saves time."""
+        """Write a loop that tests its condition after each turn; precompute uniform values where that saves time."""
         top = self.new_name("loop")
         end = self.new_name("end")
         entry = self.label
@@ -153,7 +153,7 @@ class Emitter(Instructions):
             self.name(loop.results[i], registers[i])
 
     def needed_states(self, loop: CodeLoop) -> list[int]:
-        """Positions of the states of a loop on which a result of the program depends, in the loop or after it."""
+        """Return the positions of a loop's states on which a result of the program depends, in or after the loop."""
         positions = []
         for i, (state, result) in enumerate(zip(loop.states, loop.results, strict=True)):
             if id(state) in self.alive or id(result) in self.alive:
@@ -172,7 +172,7 @@ class Emitter(Instructions):
         Args:
             loop: The loop.
             plan: The values to precompute.
-            needed: As :meth:`needed_states` returns them.
+            needed: Positions of the needed states, from :meth:`needed_states`.
 
         Returns:
             The register of the condition for another turn after the inner loop.
@@ -235,7 +235,7 @@ class Emitter(Instructions):
         self.lines[line] = f"  {state_register} = phi {self.kind(state.dtype, wide)} {', '.join(texts)}"
 
     def branch(self, branch: Branch) -> None:
-        """Write both sides of a branch, one after the other; each is skipped if no lane takes it."""
+        """Write both sides of a branch, one after the other; the machine skips a side that no lane takes."""
         needed = {i: result for i, result in enumerate(branch.results) if id(result) in self.alive}
         has_mask = self.is_vector(branch.condition)
         condition = self.read(branch.condition, has_mask)
@@ -255,7 +255,7 @@ class Emitter(Instructions):
             self.name(result, self.emit(f"select {selector}, {kind} {first[i]}, {kind} {second[i]}"))
 
     def value(self, value: Value) -> str:
-        """Write the instructions of one value; return its register."""
+        """Write the instructions of one value, calls of functions of C included; return its register."""
         match value.operation:
             case Operation.FOREIGN:
                 return self.foreign(value.detail, value)
@@ -264,7 +264,7 @@ class Emitter(Instructions):
         return super().value(value)
 
     def foreign(self, function: ForeignFunction, value: Value) -> str:
-        """Write the call of a function of C for each lane; return the register of its first result."""
+        """Write the call ``value`` of a function of C for each lane; return the register of the first result."""
         self.called_functions[function.symbol] = function
         self.declarations.add(f"declare void @{function.symbol}(ptr) nonlazybind")
         self.declarations.add("declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")
@@ -280,19 +280,19 @@ class Emitter(Instructions):
         return self.parts[id(value)][0]
 
     def buffer(self, places: tuple[MemoryPlace, ...]) -> str:
-        """Reserve memory for the vectors of some numbers, once in the function; return its register."""
+        """Reserve memory for the vectors of some numbers at the start of the function; return the address register."""
         name = f"%{self.new_name('buffer')}"
         size = foreign_calls.buffer_bytes(places, self.width)
         self.allocated.append(f"  {name} = alloca [{size} x i8], align {ALIGNMENT}")
         return name
 
     def store_in_buffer(self, buffer: str, offset: int, value: Value) -> None:
-        """Write the storing of a value of each lane at an offset of a buffer [bytes]."""
+        """Write the instructions that store a value of each lane at an offset of a buffer [bytes]."""
         place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", prefix="p")
         self.emit_store(place, "0", value, True)
 
     def load_from_buffer(self, buffer: str, offset: int, dtype: np.dtype) -> str:
-        """Write the loading of a value of each lane from an offset of a buffer [bytes]; return its register."""
+        """Write the instructions that load a value of each lane from an offset of a buffer [bytes]; return the name."""
         place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", prefix="p")
         return self.emit(f"load {self.kind(dtype, True)}, ptr {place}, align {dtype.itemsize}")
 
@@ -304,9 +304,9 @@ class Emitter(Instructions):
         """Write one side of a branch.
 
         Args:
-            is_taken: Register that tells whether any lane takes the side.
+            is_taken: Register of the truth value whether any lane takes the side.
             block: The block of the side.
-            values: Results of the side, each with whether it is a vector, by position.
+            values: For each position of a result, the side's value and whether it is a vector.
 
         Returns:
             The register of each result, by position; it holds zeros if no lane takes the side.
@@ -330,7 +330,7 @@ class Emitter(Instructions):
     # Memory
 
     def store(self, position: int, output: Value) -> None:
-        """Write the storing of a number of each lane into the column of the output at a position."""
+        """Write the instructions that store a result of each lane in the column of the output at a position."""
         self.emit_store(self.column("outputs", position), "%lane", output, True)
 
     def emit_store(self, column: str, element: str, value: Value, wide: bool) -> None:
@@ -340,7 +340,7 @@ class Emitter(Instructions):
             column: Register with the address of the column.
             element: Register or literal with the position of the element.
             value: The value.
-            wide: Whether to store the value of each lane, one after another, from the element on.
+            wide: Whether to store the values of all lanes, one after another, with the first at ``element``.
         """
         register = self.read(value, wide)
         dtype = value.dtype
@@ -352,7 +352,7 @@ class Emitter(Instructions):
         self.lines.append(f"  store {self.kind(dtype, wide)} {register}, ptr {place}, align {dtype.itemsize}")
 
     def record(self, record: Record) -> None:
-        """Write the storing of an element of a recording for each lane of the vector, side by side."""
+        """Write the instructions that store one element of a recording for each lane of the vector, side by side."""
         index = self.emit(f"zext i32 {self.read(record.position, False)} to i64")
         element = self.recorded_element(record.recording, index)
         for position, output in enumerate(self.program.outputs):
@@ -377,12 +377,12 @@ class SubroutineEmitter(Emitter):
     """Writes a subroutine as a function of LLVM; its arguments are the inputs of its program, vectors of lanes."""
 
     def input(self, value: Value, wide: bool) -> str:
-        """Return the argument's register, by the position of the input; it is a vector, so ``wide`` does not matter."""
+        """Return the register of the argument that is this input; arguments are vectors, so ``wide`` has no effect."""
         position = value.detail
         return f"%a{position}"
 
     def definition(self, name: str) -> list[str]:
-        """Write the lines of the function, which returns the program's only output; arguments are %a0, %a1, ..."""
+        """Return the lines of the function, which has the arguments %a0, %a1, ... and returns the only output."""
         result = self.program.outputs[0]
         assert isinstance(result, Value)
         self.block(self.program.body)
@@ -395,5 +395,5 @@ class SubroutineEmitter(Emitter):
 def module_text(
     program: Program, width: int, strict: bool = False, window: int = 0, register_use: RegisterUse = MANY_REGISTERS
 ) -> str:
-    """Write the text for LLVM of a program's module; arguments as of :class:`Emitter`."""
+    """Return the text for LLVM of a program's module; the arguments are those of :class:`Emitter`."""
     return Emitter(program, width, strict, window, register_use).text()

@@ -17,14 +17,14 @@ from dssc_jax.lanes.program import (
 
 
 def read_inputs(program: Program) -> set[int]:
-    """Positions of the inputs on which a result depends."""
+    """Return the positions of the inputs on which a result of the program depends."""
     alive = reachable(program)
     nodes = (node for block in all_blocks(program.body) for node in block.nodes if id(node) in alive)
     return {int(node.detail) for node in nodes if isinstance(node, Value) and node.operation == "input"}
 
 
 def reachable(program: Program) -> set[int]:
-    """Ids of the nodes on which a result depends."""
+    """Return the ids of the nodes on which a result of the program depends."""
     visited: set[int] = set()
     records: dict[int, list[Node]] = {}
     collect_records(program.body, (), records)
@@ -41,7 +41,11 @@ def reachable(program: Program) -> set[int]:
 
 
 def needed_nodes(node: Node) -> list[Node]:
-    """The nodes that a node needs directly; a state or result of a loop or branch needs its own values alone."""
+    """Return the nodes that a node needs directly.
+
+    A loop or branch needs its conditions only. A state or result needs, beside the loop or branch, only the values that
+    are assigned to that one state or result, so that unused states are not alive.
+    """
     match node:
         case Value(operation="state" | "result", detail=(loop, position)):
             return [loop, loop.initial_states[position], loop.next_states[position]]
@@ -63,7 +67,8 @@ def collect_records(block: CodeBlock, around: tuple[Node, ...], records: dict[in
     Args:
         block: The block.
         around: The loops and branches around the block.
-        records: Gets, by the id of each recording, its records and the loops and branches around them.
+        records: The result, which this function fills: for the id of each recording, its records and the loops and
+            branches around these.
     """
     for node in block.nodes:
         if isinstance(node, Record):
@@ -73,7 +78,7 @@ def collect_records(block: CodeBlock, around: tuple[Node, ...], records: dict[in
 
 
 def operation_counts(program: Program) -> dict[str, int]:
-    """Number of values that each operation computes, among the values on which a result depends."""
+    """Count the values by their operation, among the values on which a result depends."""
     alive = reachable(program)
     nodes = (node for block in all_blocks(program.body) for node in block.nodes)
     return dict(Counter(node.operation for node in nodes if isinstance(node, Value) and id(node) in alive))

@@ -1,6 +1,6 @@
 """Removal of loop states that are always the negative of another state, such as DSSC's command u = -u_av.
 
-It may change the sign of zeros, so it is for fast arithmetic alone.
+The removal may change the sign of zeros, so only fast arithmetic uses it.
 """
 
 from collections.abc import Iterator
@@ -28,11 +28,11 @@ def join_opposites(program: Program) -> None:
 
 
 def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
-    """The pairs of states that are opposite in every turn, by induction over the turns.
+    """Return the pairs of states that are opposite in every turn, by induction over the turns.
 
-    They are the largest set of candidates in which each pair is opposite before the first turn, and opposite after a
-    turn if all pairs of the set are opposite before it. So all candidates are assumed to hold; a refuted pair refutes
-    the pairs that were derived from it.
+    The result is the largest set of candidate pairs with two properties: each pair is opposite before the first turn,
+    and each pair is opposite after a turn if all pairs of the set are opposite before the turn. To find the set, all
+    candidates are assumed to hold at first. A refuted pair then refutes the pairs that were derived from it.
     """
     candidates = {(id(loop), *pair): loop for loop in loops for pair in candidate_pairs(loop)}
     holding = set(candidates)
@@ -55,9 +55,9 @@ def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
 
 
 def candidate_pairs(loop: CodeLoop) -> Iterator[tuple[int, int]]:
-    """Ordered pairs of positions of states, of which the second may always be minus the first.
+    """Yield the ordered pairs (first, second) of state positions that are worth a test whether second = -first.
 
-    Only states of the same delay are paired (:func:`states_in_delay`).
+    Only states of the same delay are paired (:func:`states_in_delay`): others cannot be opposite in every turn.
     """
     positions_by_delay: dict[int, list[int]] = {}
     for position in range(len(loop.states)):
@@ -67,9 +67,13 @@ def candidate_pairs(loop: CodeLoop) -> Iterator[tuple[int, int]]:
 
 
 def states_in_delay(loop: CodeLoop, position: int) -> int:
-    """Number of states through which a number, or its negative, moves turn by turn until it is in this state.
+    """Return the number of states through which a number, or its negative, moves turn by turn up to this state.
 
-    It is 1 for a state that each turn computes anew, and k for the last state of a delay by k turns.
+    The number is 1 for a state that each turn computes anew, and k for the last state of a delay by k turns.
+
+    Args:
+        loop: The loop.
+        position: Position of the state.
     """
     visited = set[int]()
     while position not in visited:
@@ -86,15 +90,16 @@ def states_in_delay(loop: CodeLoop, position: int) -> int:
 
 
 def loops_of(block: CodeBlock) -> list[CodeLoop]:
-    """All loops of a block and of the blocks within it."""
+    """Return all loops of a block and of the blocks within the block."""
     return [node for inner in all_blocks(block) for node in inner.nodes if isinstance(node, CodeLoop)]
 
 
 def opposite(value: Value, negated: Value) -> bool | Pair:
-    """Whether the second value is the negative of the first.
+    """Tell whether ``negated`` is always -``value``.
 
     Returns:
-        True or False; or the pair of states that must be opposite for it.
+        True or False if this is known. Otherwise the values belong to two states of one loop, and the result is the
+        pair of these states: the answer is yes if they are opposite.
     """
     if negated.operation == "neg" and negated.operands[0] is value:
         return True
@@ -112,7 +117,8 @@ def remove(loop: CodeLoop, kept_states: dict[int, int]) -> None:
 
     Args:
         loop: The loop.
-        kept_states: Position of the state that stays, by the position of its negative, which is removed.
+        kept_states: For the position of each removed state, the position of the state that stays and whose negative
+            the removed state is.
     """
     surrounding_block = loop.body.parent
     assert surrounding_block is not None
@@ -129,11 +135,11 @@ def remove(loop: CodeLoop, kept_states: dict[int, int]) -> None:
 
 
 def turn_into_negatives(values: list[Value], kept_states: dict[int, int]) -> list[Value]:
-    """Turn the removed states or results of a loop into negatives of those that stay; return them.
+    """Turn the removed states or results of a loop, in place, into negatives of others; return the turned values.
 
     Args:
         values: The states or results of the loop.
-        kept_states: As for :func:`remove`.
+        kept_states: For the position of each removed value, the position of the value whose negative it becomes.
     """
     negatives = []
     for removed, kept in kept_states.items():

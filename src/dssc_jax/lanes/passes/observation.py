@@ -1,7 +1,8 @@
 """Early places for what only observes a loop, such as metrics and the test for divergence.
 
-The trace has it at the end of a turn, where it reads values that were computed long before. With few registers these
-are stored in between and loaded again. So each operation of an observer comes as soon as its operands are known.
+The trace places these operations at the end of a turn, where they read values that were computed long before. With few
+registers, such values are stored in between and loaded again. So each operation of an observer is moved to where its
+operands have just become known.
 """
 
 from collections.abc import Sequence, Set
@@ -10,13 +11,14 @@ from dssc_jax.lanes.passes.scheduling import operands_within, results_of
 from dssc_jax.lanes.program import CodeLoop, Node, Value
 
 ELSEWHERE = 1
-"""The bit, in a set of states, of everything that is no state of the loop, such as its condition."""
+"""The bit, in a set of states as an integer, that stands for whatever is no state of the loop, as its condition is."""
 
 
 def observing_nodes(loop: CodeLoop) -> set[int]:
-    """Ids of the values of a loop's body on which only observers depend.
+    """Return the ids of the values of a loop's body on which only observers depend.
 
-    A state is an observer if no states depend on it but itself and other observers.
+    A state is an observer if nothing depends on it but itself and other observers. Sets of states are integers, in
+    which bit i + 1 stands for state i.
     """
     reached = reached_states(loop)
     observers = 0
@@ -31,7 +33,10 @@ def observing_nodes(loop: CodeLoop) -> set[int]:
 
 
 def reached_states(loop: CodeLoop) -> dict[int, int]:
-    """The states of a loop after a turn that depend on each value in it, by the value's id: bit i + 1 for state i."""
+    """Return, by the id of each value in a loop's body, the set of next states that depend on the value.
+
+    A set is an integer, in which bit i + 1 stands for state i and the bit :data:`ELSEWHERE` for anything else.
+    """
     reached = {id(loop.proceed): ELSEWHERE}
     for i, value in enumerate(loop.next_states):
         reached[id(value)] = reached.get(id(value), 0) | 2 << i
@@ -45,11 +50,11 @@ def reached_states(loop: CodeLoop) -> dict[int, int]:
 
 
 def placed_early(order: Sequence[Node], early: Set[int]) -> list[Node]:
-    """An order of nodes in which those with an id in ``early`` come as soon as their operands are known.
+    """Reorder nodes so that some of them come as soon as their operands are known; the others keep their order.
 
     Args:
         order: Nodes, each after the nodes whose values it reads.
-        early: Ids of nodes.
+        early: Ids of the nodes to move.
     """
     group_of: dict[int, int] = {}  # by the id of a value
     groups: list[list[Node]] = [[]]  # of nodes that stay where they are, each with the early ones that follow it

@@ -1,8 +1,9 @@
 """Precomputation of the uniform values of a time loop, for several turns at once, in a vector along time.
 
-All lanes share the time and what follows from it alone, such as the sine of a reference. As scalars in every turn, such
-values would cost as much as those of a whole vector of lanes. If the uniform states of a loop only count, a vector can
-hold the values of the next :data:`TURNS` turns. They are stored in a buffer, from which each turn reads its own.
+All lanes share the time and what follows from it alone, such as the sine of a reference. Computed as scalars in every
+turn, such values would cost as much as the same operations on a whole vector of lanes. If the uniform states of a loop
+only count, one vector can hold a value for each of the next :data:`TURNS` turns. The vector is stored in a buffer, from
+which each turn reads one element.
 """
 
 from collections.abc import Set
@@ -23,9 +24,9 @@ class PrecomputationPlan:
     """The values of a loop to precompute.
 
     Args:
-        counters: Growth of each uniform state in a turn, by the state's position. Such a state only counts.
-        values: The uniform values of the body, in order.
-        outputs: The counters and values that a turn reads, and that are therefore stored.
+        counters: Growth of each uniform state in a turn, by the state's position; such a state only counts.
+        values: The uniform values of the body, in the order of the body.
+        outputs: The counters and values that the rest of a turn reads, and that are therefore stored in buffers.
     """
 
     counters: dict[int, int]
@@ -36,8 +37,8 @@ class PrecomputationPlan:
 def precomputation_plan(loop: CodeLoop, alive: Set[int]) -> PrecomputationPlan | None:
     """Select the uniform values of a loop's body to precompute; None if that is impossible or not worthwhile.
 
-    It is impossible if the body has a loop, a branch with a uniform result, a value that lanes share by ``any``, or a
-    uniform state that does more than count.
+    Precomputation is impossible if the body has a loop, a branch with a uniform result, a value that lanes share by
+    ``any``, or a uniform state that does more than count. With fewer than :data:`WORTHWHILE` values it saves no time.
 
     Args:
         loop: The loop.
@@ -65,7 +66,7 @@ def precomputation_plan(loop: CodeLoop, alive: Set[int]) -> PrecomputationPlan |
 
 
 def growth_in_turn(loop: CodeLoop, position: int) -> int:
-    """The constant whole number by which a state of a loop grows in every turn; 0 if it does anything else."""
+    """Return the constant whole number that every turn adds to a state of a loop; 0 if a turn does anything else."""
     state = loop.states[position]
     next_value = loop.next_states[position]
     if next_value.operation != "add" or next_value.dtype.kind not in "iu":
@@ -81,7 +82,7 @@ def growth_in_turn(loop: CodeLoop, position: int) -> int:
 class Precomputation(Instructions):
     """Writes the instructions that precompute uniform values, as vectors along time.
 
-    A vector has the value of the next turn first, and of the turn after it second.
+    Element k of a vector is the value in turn k of the next :data:`TURNS` turns, with k = 0 for the first.
 
     Args:
         lanes: The instructions of the lanes, to which these are added.
@@ -106,29 +107,29 @@ class Precomputation(Instructions):
         self.buffers: dict[int, str] = {}  # register with the address of the stored vector, by the value's id
 
     def new_name(self, prefix: str = "v") -> str:
-        """A new name among those of the lanes."""
+        """Return a name that is unused among the names of the lanes' instructions."""
         return self.lanes.new_name(prefix)
 
     def begin(self, label: str) -> None:
-        """Begin a basic block of the lanes."""
+        """Begin a basic block with this label; the lines are those of the lanes' instructions."""
         self.lanes.begin(label)
 
     def current(self) -> str:
-        """The label of the basic block of the lanes."""
+        """Return the label of the lanes' present basic block."""
         return self.lanes.current()
 
     def is_vector(self, value: Value) -> bool:
-        """Whether a value is a vector along time, as every value but a constant is."""
+        """Whether a value is a vector along time: true for every value but a constant."""
         return value.operation != "constant"
 
     def read(self, value: Value, vector: bool) -> str:
-        """The register or literal of a value; a value from before the loop is repeated in a vector."""
+        """Return the register or literal of a value; a value from outside the loop is first repeated in a vector."""
         if value.operation != "constant" and (id(value), True) not in self.names:
             self.names[id(value), True] = self.splat(value.dtype, self.lanes.read(value, False))
         return super().read(value, vector)
 
     def write(self, loop: CodeLoop) -> None:
-        """Write the computation of the values of the next turns from the present counters, and their storing."""
+        """Write the instructions that compute the values of the next turns from the counters, and that store them."""
         for position, growth in self.plan.counters.items():
             state = loop.states[position]
             scalar = scalar_type(state.dtype)
@@ -147,7 +148,7 @@ class Precomputation(Instructions):
             self.lines.append(f"  store {self.kind(dtype, True)} {register}, ptr {buffer}, align 64")
 
     def allocations(self) -> list[str]:
-        """The instructions that reserve the buffers, for the start of the function."""
+        """Return the instructions that reserve the buffers, for the start of the function; call after :meth:`write`."""
         lines = []
         for value in self.plan.outputs:
             kind = self.kind(stored_type(value.dtype), True)
@@ -155,7 +156,11 @@ class Precomputation(Instructions):
         return lines
 
     def load(self, turn: str) -> None:
-        """Write the reading of one turn's values as scalars; ``turn`` is the register with the turn's number."""
+        """Write the instructions that read one turn's values from the buffers, as scalars.
+
+        Args:
+            turn: Register with the number of the turn, from 0 to TURNS - 1.
+        """
         for value in self.plan.outputs:
             dtype = stored_type(value.dtype)
             scalar = scalar_type(dtype)

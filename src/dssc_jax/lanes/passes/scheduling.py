@@ -20,11 +20,11 @@ AT_A_TIME = 3  # operations that begin in one cycle
 
 
 def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
-    """Order the nodes of a block for emission.
+    """Return the nodes of a block in the order in which they are written.
 
     Args:
         nodes: Nodes, each after the nodes whose values it reads.
-        window: Number of places after the first unplaced node among which the next node is chosen.
+        window: Number of places after the first unplaced node among which the next node is chosen; 0: the order stays.
     """
     users = users_of(nodes)
     remaining = remaining_cycles(nodes, users)
@@ -66,11 +66,11 @@ def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
 
 
 def remaining_cycles(nodes: Sequence[Node], users: Sequence[Sequence[int]]) -> list[int]:
-    """Length in cycles of the longest chain of operations that begins with each node, to the end of the block.
+    """Return, for each node, the cycles of the longest chain of operations from this node to the end of the block.
 
     Args:
         nodes: Nodes, each after the nodes whose values it reads.
-        users: As :func:`users_of` returns them.
+        users: For each node, the positions of the nodes that read its values, from :func:`users_of`.
     """
     remaining = [0] * len(nodes)
     for i in reversed(range(len(nodes))):
@@ -80,9 +80,10 @@ def remaining_cycles(nodes: Sequence[Node], users: Sequence[Sequence[int]]) -> l
 
 
 def users_of(nodes: Sequence[Node]) -> list[list[int]]:
-    """For each node of a block, the positions of the nodes that read its values."""
+    """Return, for each node of a block, the positions of the nodes that read its values."""
     users: list[list[int]] = [[] for _ in nodes]
-    maker = {id(value): i for i, node in enumerate(nodes) for value in results_of(node)}  # position of its node
+    # the position of the node that computes each value, by the value's id
+    maker = {id(value): i for i, node in enumerate(nodes) for value in results_of(node)}
     for i, node in enumerate(nodes):
         read_nodes = {maker[id(value)] for value in operands_within(node) if id(value) in maker}
         for read_node in read_nodes:
@@ -91,14 +92,14 @@ def users_of(nodes: Sequence[Node]) -> list[list[int]]:
 
 
 def results_of(node: Node) -> Sequence[Value]:
-    """The values that a node computes for its block."""
+    """Return the values that a node computes for the block in which it stands; none for a record."""
     if isinstance(node, CodeLoop | Branch):
         return node.results
     return (node,) if isinstance(node, Value) else ()
 
 
 def operands_within(node: Node) -> Iterator[Value]:
-    """The values that a node and its blocks read."""
+    """Yield the values that a node reads, and those that the nodes of its inner blocks read."""
     yield from operands_of(node)
     for block in inner_blocks(node):
         for part in block.nodes:
@@ -106,5 +107,5 @@ def operands_within(node: Node) -> Iterator[Value]:
 
 
 def cycles(node: Node) -> int:
-    """Latency of a node in cycles; 0 for loops and branches, whose latency is not modelled."""
+    """Return the latency of a node in cycles; 0 for loops, branches and records, whose latency is not modelled."""
     return CYCLES.get(node.operation, OTHER_CYCLES) if isinstance(node, Value) else 0

@@ -1,4 +1,4 @@
-"""Sign analysis: values whose sign bit is always 0, also as a NaN. Their bits, as integers, have the same order."""
+"""Sign analysis: values whose sign bit is always 0, even as a NaN. Their order is that of their bits as integers."""
 
 import numpy as np
 

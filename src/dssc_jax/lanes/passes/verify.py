@@ -1,4 +1,4 @@
-"""Verification of a program: every pass must leave one that passes."""
+"""Verification of a program's form, which every pass must preserve."""
 
 import numpy as np
 
@@ -35,7 +35,15 @@ def verify(program: Program) -> None:
 
 
 def verify_block(block: CodeBlock, defined: set[int]) -> None:
-    """Check a block, and add its values to ``defined``, the ids of the values that may be read."""
+    """Check a block, and add its values to those that may be read.
+
+    Args:
+        block: The block.
+        defined: Ids of the values that may be read; this function adds the block's values.
+
+    Raises:
+        InvalidProgram: A rule is broken.
+    """
     for node in block.nodes:
         match node:
             case Value():
@@ -52,7 +60,15 @@ def verify_block(block: CodeBlock, defined: set[int]) -> None:
 
 
 def verify_value(value: Value, defined: set[int]) -> None:
-    """Check operands, dtypes and uniformity of a single value; ``defined`` as for :func:`verify_block`."""
+    """Check operands, dtypes and uniformity of a single value.
+
+    Args:
+        value: The value.
+        defined: Ids of the values that may be read.
+
+    Raises:
+        InvalidProgram: A rule is broken.
+    """
     operation = value.operation
     operands = value.operands
     require(isinstance(operation, Operation), value, "is no operation")
@@ -91,7 +107,11 @@ def verify_value(value: Value, defined: set[int]) -> None:
 
 
 def verify_access(value: Value) -> None:
-    """Check the dtypes and the index of an operation on a slot: ``memory``, ``read`` or ``write``."""
+    """Check the dtypes and the index of an operation on a slot: ``memory``, ``read`` or ``write``.
+
+    Raises:
+        InvalidProgram: A rule is broken.
+    """
     slot = value.detail
     require(isinstance(slot, Slot), value, "must have a slot")
     result_type = slot.dtype if value.operation == Operation.READ else TOKEN
@@ -105,7 +125,7 @@ def verify_access(value: Value) -> None:
 
 
 def verify_loop(loop: CodeLoop, defined: set[int]) -> None:
-    """Check a loop, its body and its states; ``defined`` as for :func:`verify_block`."""
+    """Check a loop, its body and its states, and add its results to ``defined``, the ids of values that may be read."""
     for value in loop.initial_states:
         require_defined(value, defined, "a loop's begin")
     if loop.guard is not None:
@@ -134,7 +154,7 @@ def verify_loop(loop: CodeLoop, defined: set[int]) -> None:
 
 
 def verify_branch(branch: Branch, defined: set[int]) -> None:
-    """Check a branch, its sides and its results; ``defined`` as for :func:`verify_block`."""
+    """Check a branch and its sides, and add its results to ``defined``, the ids of the values that may be read."""
     require_defined(branch.condition, defined, "a branch's condition")
     require(branch.condition.dtype == BOOL, branch.condition, "a branch's condition must be a truth value")
     for side, values in zip(branch.sides, branch.values, strict=True):
@@ -148,7 +168,7 @@ def verify_branch(branch: Branch, defined: set[int]) -> None:
 
 
 def define(value: Value, defined: set[int]) -> None:
-    """Add a value to the defined values; ``defined`` as for :func:`verify_block`.
+    """Add a value to ``defined``, the ids of the values that may be read.
 
     Raises:
         InvalidProgram: The value is defined already.
@@ -163,10 +183,10 @@ def require_defined(value: Value, defined: set[int], reader: str) -> None:
     Args:
         value: The value.
         defined: Ids of the values that may be read.
-        reader: What reads it, in words for the message.
+        reader: What reads the value, in words for the message.
 
     Raises:
-        InvalidProgram: It is not defined.
+        InvalidProgram: The value is neither.
     """
     is_defined = value.operation == Operation.CONSTANT or id(value) in defined
     require(is_defined, value, "is read by {} before it is set", reader)
@@ -176,13 +196,13 @@ def require(holds: bool, value: Value | None, rule: str, *details: object) -> No
     """Require that a rule holds.
 
     Args:
-        holds: Whether it holds.
-        value: The value that it is about; None: the whole program.
+        holds: Whether the rule holds.
+        value: The value that the rule is about; None: the whole program.
         rule: The rule in words, with a place ``{}`` for each detail.
         details: Objects to put in these places.
 
     Raises:
-        InvalidProgram: It does not hold.
+        InvalidProgram: The rule does not hold.
     """
     if not holds:
         subject = "the program" if value is None else f"'{value.operation}' of type {value.dtype}"

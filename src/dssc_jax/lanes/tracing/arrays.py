@@ -3,8 +3,13 @@
 Elements are moved when the program is translated, so that only arithmetic is left to run. An array of values is a NumPy
 array of objects; a constant array stays an array of numbers.
 
-A translation is called as ``(build, operands, params, equation) -> result``: the builder of the program, the operands,
-the parameters of JAX's equation by name, and the equation itself.
+All translations have the same arguments ``(build, operands, params, equation) -> result``, of which each uses what it
+needs:
+
+    build: The builder of the program.
+    operands: The operands: a value for a scalar, an array for an array.
+    params: Parameters of JAX's equation by name.
+    equation: The equation itself.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -40,7 +45,7 @@ Tensor = np.ndarray
 
 
 def as_tensor(value: Any, build: Builder) -> Tensor:
-    """A value as an array of objects: numbers become constants, and a scalar becomes an array of shape ()."""
+    """Return a value as an array of objects: numbers become constants of the program, a scalar gets the shape ()."""
     if not isinstance(value, np.ndarray):
         tensor = np.empty((), object)
         tensor[()] = value
@@ -53,18 +58,24 @@ def as_tensor(value: Any, build: Builder) -> Tensor:
 
 
 def as_array(value: Any, build: Builder) -> Tensor:
-    """A value as an array: a constant array stays an array of numbers, and a scalar gets the shape ()."""
+    """Return a value as an array: a constant array stays an array of numbers, and a scalar gets the shape ()."""
     return value if isinstance(value, np.ndarray) else as_tensor(value, build)
 
 
 def from_tensor(tensor: Any) -> Any:
-    """An array of objects, or its only element if its shape is ()."""
+    """Return an array of objects, or its only element if its shape is (); anything else is returned unchanged."""
     is_scalar = isinstance(tensor, np.ndarray) and tensor.dtype == object and tensor.shape == ()
     return tensor[()] if is_scalar else tensor
 
 
 def elementwise(function: Callable[..., Any], build: Builder, operands: Sequence[Any]) -> Any:
-    """Apply a function of scalars to each element of operands, which are scalars and arrays of one shape."""
+    """Apply a function of scalars to each element of the operands; return an array, or a value if all are scalars.
+
+    Args:
+        function: ``(*scalars) -> value``, called once for each element.
+        build: The builder.
+        operands: Scalars, and arrays of one shape.
+    """
     if not any(isinstance(operand, np.ndarray) for operand in operands):
         return function(*operands)
     tensors = np.broadcast_arrays(*(as_tensor(operand, build) for operand in operands))
@@ -88,10 +99,14 @@ def broadcast(build: Builder, operands: Sequence[Any], params: Parameters, equat
 
 
 def movement_rule(function: Callable[[Any, Mapping[str, Any]], Any]) -> Callable[..., Any]:
-    """The translation of an operation that only moves elements, by ``(array, parameters) -> array`` of NumPy."""
+    """Return the translation of an operation that only moves elements.
+
+    Args:
+        function: ``(array, params) -> array``: the operation on a NumPy array, whatever its elements are.
+    """
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-        """The operand with its elements moved."""
+        """Return the operand with its elements moved."""
         result = np.asarray(function(as_array(operands[0], build), params))
         return scalar_of(build, result)
 
@@ -99,7 +114,7 @@ def movement_rule(function: Callable[[Any, Mapping[str, Any]], Any]) -> Callable
 
 
 def scalar_of(build: Builder, result: Tensor) -> Any:
-    """An array of the trace; if its shape is (), the value that is its only element."""
+    """Return an array unchanged, but its only element as a value of the program if its shape is ()."""
     if result.shape:
         return result
     return result[()] if result.dtype == object else build.constant(result, result.dtype)
@@ -190,10 +205,14 @@ def iota(build: Builder, operands: Sequence[Any], params: Parameters, equation: 
 
 
 def reduction(operation: str) -> Callable[..., Any]:
-    """The translation of a reduction, which combines the elements along some axes by an operation."""
+    """Return the translation of a reduction, which combines the elements along some axes by an operation, in order."""
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-        """The array of the combined elements, along the axes that remain."""
+        """Return the array of the combined elements, along the axes that remain.
+
+        Raises:
+            Unsupported: The reduction has no elements to combine.
+        """
         axes = params["axes"]
         tensor = as_tensor(operands[0], build)
         remaining_axes = [axis for axis in range(tensor.ndim) if axis not in axes]
@@ -207,7 +226,7 @@ def reduction(operation: str) -> Callable[..., Any]:
 
 
 def reduce_rows(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> Any:
-    """Apply a function to each row along the last axis; return the array of its results."""
+    """Apply a function to each row along the last axis; return the array of the results, shape ``rows.shape[:-1]``."""
     result = np.empty(rows.shape[:-1], object)
     for position in np.ndindex(result.shape):
         result[position] = function(list(rows[position]))
@@ -217,8 +236,8 @@ def reduce_rows(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> A
 def dot_general(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """``lax.dot_general``: sums of products over some axes of two arrays.
 
-    Its axes are of three kinds: summed, batch (common to both arrays), and free (of one array alone). The result has
-    the batch axes, then the free axes of the first array, then those of the second.
+    The axes of the two arrays are of three kinds: summed, batch (common to both arrays), and free (of one array alone).
+    The result has the batch axes, then the free axes of the first array, then those of the second.
     """
     summed_axes, batch_axes = params["dimension_numbers"]  # each: axes of the first array, axes of the second
     left, right = (
@@ -241,8 +260,8 @@ class ArrangedFactor(NamedTuple):
 
     Args:
         tensor: The elements, shape (batches, rows, terms of a sum).
-        batch_shape: Sizes of the axes that are joined into the first.
-        free_shape: Sizes of the axes that are joined into the second.
+        batch_shape: Sizes of the batch axes, which are joined into the first axis.
+        free_shape: Sizes of the free axes, which are joined into the second axis.
     """
 
     tensor: Tensor
@@ -251,7 +270,13 @@ class ArrangedFactor(NamedTuple):
 
 
 def arranged_factor(tensor: Tensor, batch: Sequence[int], summed: Sequence[int]) -> ArrangedFactor:
-    """A factor of a product with its batch axes first, its free axes second and its summed axes last."""
+    """Arrange the axes of a factor: batch axes first, free axes second, summed axes last, each kind joined into one.
+
+    Args:
+        tensor: The factor.
+        batch: The batch axes.
+        summed: The summed axes; the remaining axes are free.
+    """
     free = [axis for axis in range(tensor.ndim) if axis not in (*summed, *batch)]
     batch_shape, free_shape, summed_shape = ([tensor.shape[axis] for axis in axes] for axes in (batch, free, summed))
     sizes = [int(np.prod(shape)) for shape in (batch_shape, free_shape, summed_shape)]
@@ -260,10 +285,10 @@ def arranged_factor(tensor: Tensor, batch: Sequence[int], summed: Sequence[int])
 
 
 def cumulation(operation: str) -> Callable[..., Any]:
-    """The translation of a cumulative operation, such as ``cumsum``, which combines each element with all before it."""
+    """Return the translation of a cumulative operation, which combines each element with all elements before it."""
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-        """The array of the combined elements, in the operand's shape."""
+        """Return the array of the combined elements, in the operand's shape."""
         tensor = np.moveaxis(as_tensor(operands[0], build), params["axis"], -1).copy()
         order = list(range(tensor.shape[-1]))
         if params["reverse"]:
@@ -278,27 +303,27 @@ def cumulation(operation: str) -> Callable[..., Any]:
 
 
 def same_precision(precision: Any, equation: JaxprEqn) -> bool:
-    """Whether a product's precision is a value of JAX's enumeration, all of which give the same result here.
+    """Whether a product's precision is None or a value of JAX's enumeration, which all give the same result here.
 
-    JAX also allows the name of an algorithm, which is refused.
+    JAX also allows the name of an algorithm as a precision; such a product is refused. The equation is not needed.
     """
     parts = precision if isinstance(precision, tuple) else (precision,)
     return all(part is None or getattr(part, "name", "") in ("DEFAULT", "HIGH", "HIGHEST") for part in parts)
 
 
 def refuse_mixed_types(equation: JaxprEqn) -> str | None:
-    """The reason why a sum of products is not translated: operands and result differ in type; else None."""
+    """Return the reason why a sum of products is not translated, if operands and result differ in type; else None."""
     types = {element_type(variable.aval) for variable in (*equation.invars, *equation.outvars)}
     return None if len(types) == 1 else "operands and results of several types"
 
 
 def reduction_rule(operation: str, types: Any) -> TranslationRule:
-    """The rule of a reduction by an operation, for elements of some types."""
+    """Return the rule of a reduction by an operation, such as "add" for ``reduce_sum``, for elements of some types."""
     return rule(reduction(operation), types, axes=any_value, out_sharding=no_value)
 
 
 def cumulative_rule(operation: str) -> TranslationRule:
-    """The rule of a cumulative operation, such as ``cumsum`` by "add"."""
+    """Return the rule of a cumulative operation, such as "add" for ``cumsum``."""
     return rule(cumulation(operation), NUMBER_TYPES, axis=any_value, reverse=any_value)
 
 

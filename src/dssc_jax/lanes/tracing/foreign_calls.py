@@ -12,7 +12,10 @@ from dssc_jax.lanes.tracing.specification import NUMBER_TYPES, Parameters, Trans
 
 
 def foreign_call(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Value]:
-    """Call a function of C in each lane; return its results."""
+    """Translate a call of a function of C in each lane; return the results of the call.
+
+    The arguments are those of all translations; see :mod:`~dssc_jax.lanes.tracing.arrays`.
+    """
     return build.foreign(params["function"], operands)
 
 

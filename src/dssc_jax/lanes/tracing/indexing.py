@@ -39,10 +39,15 @@ MODES = one_of("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS")
 
 
 def element(build: Builder, table: Tensor, position: Value) -> Value:
-    """The element of a one-dimensional array at a position, which must lie within it.
+    """Return the element of a one-dimensional array at a position.
+
+    Args:
+        build: The builder.
+        table: The array, constant or of values.
+        position: The position, which must lie within the array.
 
     Raises:
-        Unsupported: The array is neither constant nor short.
+        Unsupported: The array is not constant, and has more than :data:`MOST_SELECTS` elements.
     """
     if position.operation == "constant":
         entry = table[int(position.detail)]
@@ -59,7 +64,13 @@ def element(build: Builder, table: Tensor, position: Value) -> Value:
 
 
 def row(build: Builder, table: Any, at: Value) -> Any:
-    """The row of an array at an index along its first axis: an array, or a value if the rows are scalars."""
+    """Return the row of an array at an index along its first axis: an array, or a value if the rows are scalars.
+
+    Args:
+        build: The builder.
+        table: The array, constant or of values.
+        at: The index, which must lie within the array.
+    """
     row_shape = table.shape[1:]
     row_size = int(np.prod(row_shape))
     columns = table.reshape(table.shape[0], row_size)
@@ -70,7 +81,11 @@ def row(build: Builder, table: Any, at: Value) -> Any:
 
 
 def wide_index(build: Builder, start: Value) -> Value:
-    """An index converted to a signed type, in which it has the same value or is beyond the end of every array."""
+    """Convert an index to a signed type of 32 or 64 bits.
+
+    The converted index has the same value, except that a value too large for 64 bits becomes the largest one, which is
+    beyond the end of every array as well.
+    """
     if start.dtype == np.dtype(np.uint64):
         limit = build.constant(np.iinfo(np.int64).max, start.dtype)
         return build.add("convert", build.add("min", start, limit), dtype=np.dtype(np.int64))
@@ -79,16 +94,16 @@ def wide_index(build: Builder, start: Value) -> Value:
 
 
 def clip_index(build: Builder, start: Value, limit: int) -> Value:
-    """A signed index, clipped to 0, 1, ..., limit."""
+    """Return a signed index, clipped to 0, 1, ..., limit."""
     at_least_zero = build.add("max", start, build.constant(0, start.dtype))
     return build.add("min", at_least_zero, build.constant(limit, start.dtype))
 
 
 def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequence[int]) -> Tensor:
-    """The window of an array at some start, as ``lax.dynamic_slice`` reads it.
+    """Return the window of an array at a start that the run computes, as ``lax.dynamic_slice`` reads the window.
 
     A start at which the window would reach beyond the array is moved inwards. Each element of the window is selected
-    among its candidates: the array's elements at that position for every possible start.
+    among candidates: the elements of the array that it may be, one for every possible start.
 
     Args:
         build: The builder.
@@ -107,7 +122,7 @@ def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequenc
 
 
 def largest_starts(shape: Sequence[int], sizes: Sequence[int]) -> list[int]:
-    """The largest start of a window along each axis of an array, with which the window still lies within the array.
+    """Return, along each axis of an array, the largest start with which a window still lies within the array.
 
     Args:
         shape: Shape of the array.
@@ -117,19 +132,19 @@ def largest_starts(shape: Sequence[int], sizes: Sequence[int]) -> list[int]:
 
 
 def flat_start(build: Builder, starts: Sequence[Value], limits: Sequence[int]) -> Value:
-    """The number of a start among all possible starts, which are counted as C counts: along the last axis first.
+    """Return the number of a start among all possible starts, counted from 0 in C's order, the last axis fastest.
 
     Args:
         build: The builder.
         starts: Start along each axis; it is clipped to 0, ..., the axis's limit.
-        limits: Largest start along each axis; the smallest is 0.
+        limits: Largest possible start along each axis; the smallest is 0.
     """
     free_axes = [axis for axis, limit in enumerate(limits) if limit > 0]
     if not free_axes:
         return build.constant(0, INDEX_TYPE)
 
     def term(axis: int) -> Value:
-        """The start along an axis, times the number of starts along all later axes."""
+        """Return the start along an axis, times the number of possible starts along all later axes."""
         start = build.add("convert", clip_index(build, starts[axis], limits[axis]), dtype=INDEX_TYPE)
         stride = int(np.prod([limits[later] + 1 for later in free_axes if later > axis]))
         return build.add("mul", start, build.constant(stride, INDEX_TYPE))
@@ -141,14 +156,14 @@ def flat_start(build: Builder, starts: Sequence[Value], limits: Sequence[int]) -
 
 
 def index_vectors(build: Builder, indices: Any) -> list[list[Value]]:
-    """The index vectors of a gather or scatter, one for each of its windows, in signed types."""
+    """Return the index vectors of a gather or scatter, one for each window, with each index in a signed type."""
     tensor = as_tensor(indices, build)
     rows = tensor.reshape(-1, tensor.shape[-1])
     return [[wide_index(build, index) for index in vector] for vector in rows]
 
 
 def gather(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """``lax.gather``: windows of an array at several starts, along new axes that JAX calls batch axes."""
+    """``lax.gather``: windows of an array at several starts; the new axes that count the windows are batch axes."""
     operand = as_array(operands[0], build)
     indices = operands[1]
     numbers = params["dimension_numbers"]
@@ -170,15 +185,15 @@ def gather(build: Builder, operands: Sequence[Any], params: Parameters, equation
 
 
 def select_each(build: Builder, condition: Value, elements: Tensor, otherwise: Value) -> Tensor:
-    """Each element of an array if a condition holds; else a value for all of them."""
+    """Return an array of selects: each element if the condition holds, else ``otherwise``."""
     return elementwise(lambda element: build.add("select", condition, element, otherwise), build, [elements])
 
 
 def arranged_windows(windows: Sequence[Tensor], shape: tuple[int, ...], window_axes: Sequence[int]) -> Any:
-    """Windows as one array, with the windows' axes where a gather's result has them.
+    """Join windows into one array, whose axes are in the order of a gather's result.
 
     Args:
-        windows: The windows, in the order of the batch axes.
+        windows: The windows, in C's order of the batch axes.
         shape: Shape of the result.
         window_axes: Axes of the result that are axes of a window; the others are batch axes.
     """
@@ -196,7 +211,14 @@ def arranged_windows(windows: Sequence[Tensor], shape: tuple[int, ...], window_a
 
 
 def is_window_inside(build: Builder, shape: Sequence[int], starts: Sequence[Value], sizes: Sequence[int]) -> Value:
-    """Whether a window lies within an array of a shape; ``sizes`` are the window's, along each axis."""
+    """Return the truth value whether a window lies within an array.
+
+    Args:
+        build: The builder.
+        shape: Shape of the array.
+        starts: Start of the window along each axis.
+        sizes: Size of the window along each axis.
+    """
     is_inside = build.constant(True, np.dtype(bool))
     for start, limit in zip(starts, largest_starts(shape, sizes), strict=True):
         for operation, bound in (("ge", 0), ("le", limit)):
@@ -205,7 +227,10 @@ def is_window_inside(build: Builder, shape: Sequence[int], starts: Sequence[Valu
 
 
 def fill_value_of(build: Builder, fill: Any, dtype: np.dtype) -> Value:
-    """The value that a gather reads beyond its array: ``fill``, or JAX's default for the dtype if ``fill`` is None."""
+    """Return the value that a gather reads beyond its array: ``fill``, or JAX's default for the dtype if that is None.
+
+    JAX's default is the least signed integer, the largest unsigned integer, NaN, or true.
+    """
     if fill is not None:
         return build.constant(fill, dtype)
     match dtype.kind:
@@ -221,10 +246,10 @@ def fill_value_of(build: Builder, fill: Any, dtype: np.dtype) -> Value:
 def combine_window(
     build: Builder, operand: Tensor, starts: Sequence[Value], update: Tensor, combine: Callable[[Value, Value], Value]
 ) -> Tensor:
-    """An array in which each element of a window is combined with a new value.
+    """Return an array in which each element of a window is combined with a new value.
 
-    The start of the window is known only when the lane runs. So each element of the array is compared with every place
-    that it could have in the window.
+    The start of the window is known only when the lane runs. So for each element of the array and each place that it
+    could have in the window, the start is compared with the one that puts the element there.
 
     Args:
         build: The builder.
@@ -254,7 +279,7 @@ def combine_window(
 
 
 def dynamic_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """``lax.dynamic_slice``: a window of an array."""
+    """``lax.dynamic_slice``: a window of an array; of an array in memory, a single element."""
     operand, *starts = operands
     if isinstance(operand, Memory):
         return np.array([operand.read(build, wide_index(build, starts[0]))], object)
@@ -263,7 +288,7 @@ def dynamic_slice(build: Builder, operands: Sequence[Any], params: Parameters, e
 
 
 def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """``lax.dynamic_update_slice``: an array with a window replaced."""
+    """``lax.dynamic_update_slice``: an array with a window replaced; in an array in memory, a single element."""
     operand, update, *starts = operands
     if isinstance(operand, Memory):
         return operand.write(build, wide_index(build, starts[0]), as_tensor(update, build)[0])
@@ -276,14 +301,14 @@ def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Parame
 
 
 def scatter(operation: str) -> Callable[..., Tensor]:
-    """The translation of ``lax.scatter``: an array in which several windows are combined with new values.
+    """Return the translation of ``lax.scatter``: an array in which several windows are combined with new values.
 
     Args:
-        operation: Operation of the combination; empty: the new values replace the old.
+        operation: Operation that combines an old and a new element; empty: the new elements replace the old ones.
     """
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-        """The changed array; the windows change it in their order."""
+        """Return the changed array; the windows change the array one after another."""
         operand, indices, updates = operands
         numbers = params["dimension_numbers"]
         target = as_tensor(operand, build)
@@ -292,7 +317,7 @@ def scatter(operation: str) -> Callable[..., Tensor]:
         clip = params["mode"].name == "CLIP"
 
         def combined(old: Value, new: Value) -> Value:
-            """The combination of an old and a new element."""
+            """Return the combination of an old and a new element."""
             return build.add(operation, old, new) if operation else new
 
         for elements, vector in zip(windows, vectors, strict=True):
@@ -308,7 +333,7 @@ def scatter(operation: str) -> Callable[..., Tensor]:
 
 
 def update_windows(updates: Tensor, window_axes: Sequence[int], count: int) -> Tensor:
-    """The windows of a scatter's new values, shape (count, ...).
+    """Return the windows of a scatter's new values, shape (count, ...).
 
     Args:
         updates: The new values of all windows.
@@ -321,12 +346,15 @@ def update_windows(updates: Tensor, window_axes: Sequence[int], count: int) -> T
 
 
 def has_no_batches(numbers: Any, equation: JaxprEqn) -> bool:
-    """Whether a gather's or scatter's dimension numbers name no batch axis of the array, which has no translation."""
+    """Whether a gather or scatter is translated: the dimension numbers name no batch axis of the array itself.
+
+    This is the condition of a parameter; the equation is not needed.
+    """
     return not numbers.operand_batching_dims
 
 
 def scatter_rule(operation: str) -> TranslationRule:
-    """The rule of a scatter that combines by an operation; empty: it replaces."""
+    """Return the rule of a scatter; ``operation`` combines old and new elements, and an empty one replaces the old."""
     return rule(
         scatter(operation), NUMBER_TYPES if operation else SCALARS, dimension_numbers=has_no_batches, mode=MODES,
         update_jaxpr=any_value, update_consts=no_value, indices_are_sorted=any_value, unique_indices=any_value,

@@ -26,7 +26,11 @@ if TYPE_CHECKING:
 
 
 def while_rule(translator: "Translator", equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """``lax.while_loop``: a loop that ends when no lane goes on; a lane that has ended keeps its state."""
+    """``lax.while_loop``: a loop that ends when no lane continues; a lane that has ended keeps its state.
+
+    Raises:
+        Unsupported: The loop carries an array in memory, and lanes may leave the loop at different times.
+    """
     params = equation.params
     build = translator.build
     head = params["cond_jaxpr"]
@@ -70,7 +74,7 @@ def while_rule(translator: "Translator", equation: JaxprEqn, operands: list[Any]
 
 
 def scan_rule(translator: "Translator", equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """``lax.scan``: a loop of constant length over the rows of some arrays; the outputs that it stacks are recorded."""
+    """``lax.scan``: a loop of constant length over the rows of some arrays; the stacked outputs become recordings."""
     params = equation.params
     build = translator.build
     length = params["length"]
@@ -106,10 +110,10 @@ def scan_rule(translator: "Translator", equation: JaxprEqn, operands: list[Any])
 
 
 def recordings_of_scan(equation: JaxprEqn, state_count: int) -> list[Recording]:
-    """A recording for each output that a scan stacks: all its results after the first ``state_count``.
+    """Return a recording for each output that a scan stacks: each result after the first ``state_count`` ones.
 
     Raises:
-        Unsupported: The scan stacks something else than one number a turn, in order, or has no turn.
+        Unsupported: A stacked output is not one number for each turn, the scan runs backwards, or it has no turn.
     """
     length = equation.params["length"]
     types = [array_type(variable) for variable in equation.outvars[state_count:]]
@@ -121,7 +125,7 @@ def recordings_of_scan(equation: JaxprEqn, state_count: int) -> list[Recording]:
 
 
 def cond(translator: "Translator", equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """``lax.cond`` and ``lax.switch``: nested branches of two sides; each lane takes one side."""
+    """``lax.cond`` and ``lax.switch``: nested branches of two sides, case 0 or later, case 1 or later, and so on."""
     index, *arguments = operands
     refuse_recordings(arguments)
     build = translator.build
@@ -151,7 +155,10 @@ def cond(translator: "Translator", equation: JaxprEqn, operands: list[Any]) -> l
 
 
 def is_at_most(build: Builder, index: Value, number: int) -> Value:
-    """Whether the index of a case is at most ``number``."""
+    """Return the truth value whether the index of a case is at most ``number``.
+
+    For ``lax.cond``, the index is a truth value that JAX has converted to 0 or 1, and the result its negation.
+    """
     is_condition = index.operation == "convert" and index.operands[0].dtype == BOOL  # JAX has made it a number
     if is_condition and number == 0:
         condition = index.operands[0]

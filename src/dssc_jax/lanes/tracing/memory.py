@@ -1,8 +1,8 @@
 """Arrays that a loop carries and accesses one element at a time, at an index that is the same in all lanes.
 
-They stay in the memory of a vector of lanes: an access costs one instruction, however long the array is. An access is
-an operation on a *token*, which stands for the content at that point of the program, so every pass keeps the order of
-the accesses.
+Such an array stays in the memory of a vector of lanes: an access costs one instruction, however long the array is. An
+access is an operation on a *token*, a value that stands for the content of the array at that point of the program. So
+every pass keeps the order of the accesses.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ class Memory:
     Args:
         slot: The slot.
         token: The value that stands for the content.
-        reads: The reads of this content so far, after which a later write must come.
+        reads: The reads of this content so far; a write must come after them.
         is_overwritten: Whether a later content has replaced this one.
     """
 
@@ -46,7 +46,11 @@ class Memory:
         return (self.slot.length,)
 
     def successor(self, token: Value) -> "Memory":
-        """The content that replaces this one, after an operation that returns the token."""
+        """Mark this content as overwritten, and return the content that replaces it.
+
+        Args:
+            token: The token of the new content, which a write or a loop returns.
+        """
         self.is_overwritten = True
         return Memory(self.slot, token)
 
@@ -54,13 +58,13 @@ class Memory:
         """Require that no later content has replaced this one.
 
         Raises:
-            Unsupported: A later content has replaced it.
+            Unsupported: A later content has replaced this one.
         """
         if self.is_overwritten:
             raise Unsupported("an array that is read after it was written")
 
     def read(self, build: Builder, index: Value) -> Value:
-        """The element at an index.
+        """Return the element at an index, which is clamped to the array.
 
         Raises:
             Unsupported: The index differs between lanes, or a later content has replaced this one.
@@ -71,7 +75,7 @@ class Memory:
         return value
 
     def write(self, build: Builder, index: Value, value: Value) -> "Memory":
-        """The content after a value was written at an index.
+        """Write a value at an index, which is clamped to the array; return the new content.
 
         Raises:
             Unsupported: The index differs between lanes, or a later content has replaced this one.
@@ -81,10 +85,10 @@ class Memory:
         return self.successor(build.write(self.slot, self.token, position, value, self.reads))
 
     def initial_token(self) -> Value:
-        """The token with which a loop begins that carries the array.
+        """Return the token of this content, as the initial state of a loop that carries the array.
 
         Raises:
-            Unsupported: The content was read before, and the loop may overwrite it.
+            Unsupported: The content was read before the loop, which may overwrite it, or was replaced already.
         """
         self.require_current()
         if self.reads:
@@ -93,7 +97,7 @@ class Memory:
 
 
 def clamped_position(build: Builder, index: Value, length: int) -> Value:
-    """An index clamped to 0, ..., length - 1, as JAX does it, and converted to :data:`INDEX_TYPE`.
+    """Return an index clamped to 0, ..., length - 1, as JAX clamps it, and converted to :data:`INDEX_TYPE`.
 
     Raises:
         Unsupported: The index differs between lanes.
@@ -106,7 +110,9 @@ def clamped_position(build: Builder, index: Value, length: int) -> Value:
 
 
 def move_to_memory(build: Builder, initial_state: Sequence[Any], body: Jaxpr, first_state: int) -> list[Any]:
-    """The initial state of a loop, with a :class:`Memory` in place of each array of zeros that can stay in memory.
+    """Return the initial state of a loop, with a :class:`Memory` in place of each array that can stay in memory.
+
+    Such an array begins with zeros only, and the body accesses single elements of the array alone.
 
     Args:
         build: The builder.
@@ -126,7 +132,10 @@ def move_to_memory(build: Builder, initial_state: Sequence[Any], body: Jaxpr, fi
 
 
 def dtype_of_zeros(value: Any) -> np.dtype | None:
-    """The dtype of a one-dimensional array of floating-point zeros (+0) of admissible length; None for other values."""
+    """Return the dtype of a one-dimensional array of floating-point zeros (+0) of a length that stays in memory.
+
+    The result is None for any other value.
+    """
     if not isinstance(value, np.ndarray) or value.ndim != 1 or not SMALLEST <= len(value) <= LARGEST:
         return None
     numbers = distinct_constants(value) if value.dtype == object else value
@@ -137,7 +146,7 @@ def dtype_of_zeros(value: Any) -> np.dtype | None:
 
 
 def distinct_constants(values: np.ndarray) -> np.ndarray | None:
-    """The numbers of an array of constants, each constant once; None if an element is no constant."""
+    """Return the different numbers in an array of constants; None if an element is no constant."""
     distinct = {id(element): element for element in values}.values()
     if any(not isinstance(element, Value) or element.operation != "constant" for element in distinct):
         return None
@@ -145,21 +154,25 @@ def distinct_constants(values: np.ndarray) -> np.ndarray | None:
 
 
 def stays_in_place(body: Jaxpr, operand: int, result: int) -> bool:
-    """Whether a loop's body only accesses single elements of an array, and returns it as one result alone.
+    """Whether a loop's body only accesses single elements of an array, and returns the array as one certain result.
 
     Args:
         body: The body.
-        operand: Position of the array among the operands.
-        result: Position of the result.
+        operand: Position of the array among the body's operands.
+        result: Position of the result as which the body returns the array.
     """
     return versions(body, body.invars[operand]) == [result]
 
 
 def versions(jaxpr: Jaxpr, array: Var) -> list[int] | None:
-    """Positions of the results that are later versions of an array: the array, perhaps with changed elements.
+    """Find the results of a program that are later versions of an array: the array, perhaps with changed elements.
+
+    Args:
+        jaxpr: The program.
+        array: The variable of the array.
 
     Returns:
-        The positions; None if the program does more with the array than access single elements of it.
+        The positions of these results; None if the program does more with the array than access single elements.
     """
     version_variables: set[Any] = {array}
     for equation in jaxpr.eqns:
@@ -174,16 +187,23 @@ def versions(jaxpr: Jaxpr, array: Var) -> list[int] | None:
 
 
 def positions_among(atoms: Sequence[Any], variables: set[Any]) -> list[int]:
-    """Positions of the operands or results that are variables of a set; literals, which have no hash, are passed by."""
+    """Return the positions of the operands or results that are in a set of variables.
+
+    Literals are left out first, because they have no hash.
+    """
     return [i for i, atom in enumerate(atoms) if isinstance(atom, Var) and atom in variables]
 
 
 def versions_after_equation(equation: JaxprEqn, operand_positions: list[int]) -> list[int] | None:
-    """As :func:`versions`, for one equation: [] if it only reads the array, None if it does something else with it.
+    """Find the results of one equation that are later versions of an array.
 
     Args:
         equation: The equation.
         operand_positions: Positions of the array, or of later versions of it, among the operands.
+
+    Returns:
+        The positions of these results, [] if the equation only reads elements; None if it does anything else with the
+        array than access single elements.
     """
     name = equation.primitive.name
     params = equation.params
@@ -210,11 +230,15 @@ def versions_after_equation(equation: JaxprEqn, operand_positions: list[int]) ->
 
 
 def versions_after_while(equation: JaxprEqn, operand: int) -> list[int] | None:
-    """As :func:`versions`, for a while loop, whose condition may only read the array.
+    """Find the result of a while loop that is the later version of an array which the loop carries.
 
     Args:
         equation: The loop; its operands are the condition's constants, the body's constants, and the initial states.
         operand: Position of the array among the operands.
+
+    Returns:
+        A list of the one position; None if the loop does not carry the array, if its condition does more than read
+        single elements, or if its body does more than access single elements.
     """
     params = equation.params
     head_constants = params["cond_nconsts"]
@@ -228,11 +252,14 @@ def versions_after_while(equation: JaxprEqn, operand: int) -> list[int] | None:
 
 
 def versions_after_loop(body: Jaxpr, operand: int, state: int) -> list[int] | None:
-    """As :func:`versions`, for a loop that carries the array.
+    """Find the result of a loop that is the later version of an array which the loop carries.
 
     Args:
         body: The loop's body.
         operand: Position of the array among the body's operands.
         state: Position of the array among the loop's states.
+
+    Returns:
+        ``[state]``; None if the body does more with the array than access single elements.
     """
     return [state] if stays_in_place(body, operand, state) else None

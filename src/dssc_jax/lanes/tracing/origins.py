@@ -30,7 +30,7 @@ class Origin(NamedTuple):
 
     Args:
         name: Name of the value in the source; empty for a part of an expression.
-        function: Qualified name of the function around it.
+        function: Qualified name of the function in which the value is computed.
         summary: First line of the function's docstring.
     """
 
@@ -43,8 +43,8 @@ class Place(NamedTuple):
     """A call or operation in a source file.
 
     Args:
-        code: The code object that contains it.
-        span: Its first line, last line, first column and last column; None for each that Python does not know.
+        code: The code object that contains the call or operation.
+        span: First line, last line, first column and last column; None for each number that Python does not know.
     """
 
     code: CodeType
@@ -55,8 +55,8 @@ class Source(NamedTuple):
     """The syntax tree of a file.
 
     Args:
-        nodes: The expression at each span.
-        parents: The parent of each node.
+        nodes: The expression at each span: (first line, last line, first column, last column).
+        parents: The parent of each node of the tree.
     """
 
     nodes: dict[tuple[Any, ...], ast.expr]
@@ -79,7 +79,14 @@ class OriginTranslator(Translator):
         self._outermost_call: JaxprEqn | None = None
 
     def equation(self, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """Translate one equation; values computed within a call get the origin of the outermost call, but no name."""
+        """Translate one equation, and record the origin of its results.
+
+        Values that are computed within an inlined call get the function and summary of the outermost call, but no name.
+
+        Args:
+            equation: The equation.
+            operands: The operands, as values of the trace.
+        """
         is_outermost = self._outermost_call is None and equation.primitive.name in INLINED
         if is_outermost:
             self._outermost_call = equation
@@ -96,9 +103,10 @@ class OriginTranslator(Translator):
         return results
 
     def _record(self, value: Value, origin: Origin) -> None:
-        """Record a value's origin, unless an earlier equation gave it one that is as good.
+        """Record a value's origin, unless an earlier equation has recorded one with a name.
 
-        Equal operations are one value, so that several equations may return it. The first name counts.
+        Several equations may return the same value, because equal operations become one value. The first name counts,
+        and an origin without a name is replaced by one that has a name.
         """
         previous = self.origins.get(id(value))
         if previous is None or (origin.name and not previous.name):
@@ -106,7 +114,7 @@ class OriginTranslator(Translator):
 
 
 def translate_with_origins(lane: Any, *arguments: Any) -> tuple[Program, Any, dict[int, Origin]]:
-    """As :func:`~dssc_jax.lanes.tracing.translate.translate`, with the origins of the values.
+    """Trace the program of one lane and translate it with strict arithmetic; also find the origins of the values.
 
     Args:
         lane: A function of scalars.
@@ -124,9 +132,9 @@ def translate_with_origins(lane: Any, *arguments: Any) -> tuple[Program, Any, di
 
 
 def origin_of(equation: JaxprEqn) -> Origin:
-    """The origin of an equation's results; empty if no model's source leads to the equation.
+    """Return the origin of an equation's results; its texts are empty if no model's source leads to the equation.
 
-    The function is the innermost one that is no operator of a class, such as ``__add__``.
+    The function of the origin is the innermost one that is no operator of a class, such as ``__add__``.
     """
     places = list(model_places(equation))
     if not places:
@@ -138,7 +146,7 @@ def origin_of(equation: JaxprEqn) -> Origin:
 
 
 def model_places(equation: JaxprEqn) -> Iterator[Place]:
-    """The places in models whose calls led to an equation, innermost first."""
+    """Yield the places in models whose calls led to an equation, innermost first; files of libraries are left out."""
     traceback = getattr(getattr(equation, "source_info", None), "traceback", None)
     if traceback is None:
         return
@@ -150,7 +158,10 @@ def model_places(equation: JaxprEqn) -> Iterator[Place]:
 
 
 def span_at(code: CodeType, byte_offset: int) -> tuple[int | None, ...]:
-    """First line, last line, first column and last column of the instruction at an offset in Python's byte code."""
+    """Return first line, last line, first column and last column of the instruction at an offset in Python's byte code.
+
+    Each number is None if Python does not know it.
+    """
     spans = list(code.co_positions())
     instruction = byte_offset // 2  # an instruction has two bytes
     return spans[instruction] if instruction < len(spans) else (None,) * 4
@@ -158,7 +169,7 @@ def span_at(code: CodeType, byte_offset: int) -> tuple[int | None, ...]:
 
 @cache
 def read_source(file: str) -> Source:
-    """Parse a file; its syntax tree is empty if the file cannot be read."""
+    """Parse a file; return an empty syntax tree if the file cannot be read or parsed."""
     try:
         tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     except (OSError, SyntaxError, ValueError):
@@ -172,7 +183,7 @@ def read_source(file: str) -> Source:
 
 
 def function_at(place: Place) -> tuple[str, str]:
-    """Qualified name of the function around a place, and the first line of its docstring; empty if it has none."""
+    """Return the qualified name of the function around a place, and the first line of its docstring, empty if none."""
     nodes, parents = read_source(place.code.co_filename)
     node: ast.AST | None = nodes.get(place.span)
     while node is not None and not isinstance(node, ast.FunctionDef):
@@ -184,13 +195,13 @@ def function_at(place: Place) -> tuple[str, str]:
 
 
 def assigned_name(places: Sequence[Place]) -> str:
-    """The name to which a value is assigned, at its own place or where the calls around it return it.
+    """Return the name to which a value is assigned: where it is computed or, if a function returns it, by the caller.
 
     Args:
         places: The place of the value, then the places of the calls around it, innermost first.
 
     Returns:
-        The name; empty if the value is a part of an expression.
+        The name of a variable, a keyword argument or a field; empty if the value is only a part of an expression.
     """
     elements: list[int] = []  # positions of the value in the tuples that contain it, outermost last
     for place in places:
@@ -214,7 +225,7 @@ def assigned_name(places: Sequence[Place]) -> str:
 
 
 def whole_expression(node: ast.expr, parents: dict[ast.AST, ast.AST]) -> tuple[ast.expr, list[int]]:
-    """The largest expression that has the value of a node, perhaps as a case of ``if`` or within assigned tuples.
+    """Return the largest expression that has the value of a node, as a case of a conditional or an element of a tuple.
 
     Args:
         node: The node.
@@ -236,11 +247,14 @@ def whole_expression(node: ast.expr, parents: dict[ast.AST, ast.AST]) -> tuple[a
 
 
 def target_name(target: ast.AST, elements: list[int]) -> str:
-    """The name in an assignment's target that gets an element of the value; empty if no public name gets it.
+    """Return the name in an assignment's target that gets one element of the assigned value.
 
     Args:
         target: The target, a name or nested tuples of names.
-        elements: Positions in the nested tuples of the value, outermost last.
+        elements: Positions of the element in the nested tuples of the assigned value, outermost last.
+
+    Returns:
+        The name; empty if no name without a leading underscore gets the element.
     """
     remaining = list(elements)
     while isinstance(target, ast.Tuple) and remaining:
@@ -254,7 +268,7 @@ def target_name(target: ast.AST, elements: list[int]) -> str:
 
 
 def field_name(code: CodeType, call: ast.Call, position: int) -> str:
-    """The field that a positional argument of a NamedTuple's constructor fills; empty for any other call.
+    """Return the field that a positional argument of a NamedTuple's constructor fills; empty for any other call.
 
     Args:
         code: Code object that contains the call.

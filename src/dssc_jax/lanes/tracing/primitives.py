@@ -31,19 +31,19 @@ from dssc_jax.lanes.tracing.specification import (
 
 ElementRule = Callable[[Builder, Sequence[Value], Mapping[str, Any], np.dtype], Value]
 """``(build, operands, params, dtype) -> result``: the builder, the operands, the parameters of JAX's equation by name,
-and the dtype of the result."""
+and the dtype of the result. All rules have these arguments, of which each uses what it needs."""
 
 
 def same_operation(operation: str) -> ElementRule:
-    """The translation of a primitive that is an operation of the program, too."""
+    """Return the translation of a primitive of which the program has the same operation."""
     return lambda build, operands, params, dtype: build.add(operation, *operands)
 
 
 def larger_or_smaller(operation: str) -> ElementRule:
-    """The translation of ``max`` or ``min``; for truth values these are "or" and "and"."""
+    """Return the translation of ``max`` or ``min``; for truth values these are "or" and "and"."""
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-        """The larger or smaller operand."""
+        """Return the larger or smaller operand."""
         logic = {"max": "or", "min": "and"}
         return build.add(logic[operation] if dtype == BOOL else operation, *operands)
 
@@ -51,14 +51,14 @@ def larger_or_smaller(operation: str) -> ElementRule:
 
 
 def division(operation: str) -> ElementRule:
-    """The translation of ``div`` or ``rem``, with JAX's results where integers have no quotient.
+    """Return the translation of ``div`` or ``rem``, with JAX's results where integers have no quotient.
 
-    The machine must not divide an integer by zero, nor the least integer by -1. Divided by zero, x has a quotient with
-    all bits set and the remainder x; divided by -1, it has the quotient -x, which wraps.
+    The machine must not divide an integer by zero, nor the least integer by -1. In JAX, x divided by zero has a
+    quotient with all bits set and the remainder x. Divided by -1, x has the quotient -x, which wraps for the least x.
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-        """The quotient or remainder; the machine divides by 1 where the divisor is 0 or -1."""
+        """Return the quotient or remainder; the machine divides by 1 where the divisor is 0 or -1."""
         x, y = operands
         if dtype.kind == "f":
             return build.add(operation, x, y)
@@ -79,7 +79,9 @@ def division(operation: str) -> ElementRule:
 
 
 def shift(operation: str, treated_as: str = "") -> ElementRule:
-    """The translation of a shift; beyond the width of the type nothing remains, or copies of the sign bit.
+    """Return the translation of a shift.
+
+    A shift by the width of the type or more leaves zeros or, if the sign bit is copied, copies of the sign bit.
 
     Args:
         operation: ``shl`` or ``shr``.
@@ -88,7 +90,7 @@ def shift(operation: str, treated_as: str = "") -> ElementRule:
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-        """The shifted operand; the machine shifts by less than the width, which it must not reach."""
+        """Return the shifted operand; the machine must not shift by the width or more, so the count is limited."""
         width = 8 * dtype.itemsize
         unsigned = np.dtype(f"u{dtype.itemsize}")
         kind = np.dtype(f"{treated_as or dtype.kind}{dtype.itemsize}")
@@ -103,7 +105,7 @@ def shift(operation: str, treated_as: str = "") -> ElementRule:
 
 
 def sign_of(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The sign of the operand, -1 or 1; the operand itself if it is a zero or NaN."""
+    """``lax.sign``: -1 or 1, or the operand itself if it is a zero or NaN; the arguments are an ElementRule's."""
     x = operands[0]
     zero = build.constant(0, dtype)
     sign_unless_positive = x
@@ -114,15 +116,16 @@ def sign_of(build: Builder, operands: Sequence[Value], params: Parameters, dtype
 
 
 def clamp(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The middle operand, at least the first and at most the last."""
+    """``lax.clamp``: the middle operand, at least the first and at most the last; the last counts if they conflict."""
     lower, x, upper = operands
     return build.add("min", build.add("max", x, lower), upper)
 
 
 def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """``lax.select_n``: one of several cases, of which the first operand is the index, or a truth value for two cases.
+    """``lax.select_n``: one of several cases, which the first operand selects.
 
-    An index below 0 selects the first case, and an index beyond the end the last.
+    That operand is the index of the case or, for two cases, a truth value that selects the second case. An index below
+    0 selects the first case, and an index beyond the end the last.
     """
     index, *cases = operands
     if index.dtype == BOOL:
@@ -137,7 +140,7 @@ def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtyp
 
 
 def convert(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The operand converted to the dtype of the result; a truth value tells whether the operand differs from 0."""
+    """Return the operand converted to the dtype of the result; as a truth value, it tells whether it differs from 0."""
     x = operands[0]
     if dtype == BOOL and x.dtype != BOOL:
         return build.add("ne", x, build.constant(0, x.dtype))
@@ -145,7 +148,11 @@ def convert(build: Builder, operands: Sequence[Value], params: Parameters, dtype
 
 
 def whole_power(build: Builder, x: Value, exponent: int) -> Value:
-    """x to a whole power: the product of the powers x, x^2, x^4, ... whose bits are set in the exponent."""
+    """Return x to a whole power, by repeated squaring.
+
+    The result is the product of those of the powers x, x^2, x^4, ... whose bits are set in the exponent. For a negative
+    exponent, it is the reciprocal of the positive power.
+    """
     if exponent < 0:
         return build.add("div", build.constant(1, x.dtype), whole_power(build, x, -exponent))
     product = None  # of no factor yet
@@ -160,19 +167,19 @@ def whole_power(build: Builder, x: Value, exponent: int) -> Value:
 
 
 def is_finite(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """Whether a number is neither infinite nor NaN."""
+    """``lax.is_finite``: the truth value whether the operand is neither infinite nor NaN."""
     x = operands[0]
     return build.add("lt", build.add("abs", x), build.constant(np.inf, x.dtype))
 
 
 def in_total_order(operation: str) -> ElementRule:
-    """The translation of a comparison ``lt`` or ``le`` in which NaN is above all numbers.
+    """Return the translation of a comparison ``lt`` or ``le`` in which NaN is above all numbers.
 
-    JAX removes the signs of 0 and of NaN before it.
+    JAX removes the signs of zeros and NaN before this comparison, so signs of these need no care.
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-        """Whether the first operand is below the second, or perhaps equal to it."""
+        """Return the truth value whether the first operand is below the second or, for ``le``, equal to it."""
         a, b = operands
         holds_by_nan = build.add("ne", b, b)  # b is NaN, and a is at most NaN
         if operation == "lt":
@@ -184,18 +191,24 @@ def in_total_order(operation: str) -> ElementRule:
 
 
 def complement(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The operand with every bit inverted."""
+    """``lax.bitwise_not``: the operand with every bit inverted; a truth value is negated."""
     all_bits = build.constant(True if dtype == BOOL else -1, dtype)
     return build.add("xor", operands[0], all_bits)
 
 
 def same_value(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The operand itself."""
+    """Return the operand itself, for primitives that change nothing in a lane, such as ``lax.stop_gradient``."""
     return operands[0]
 
 
 def nearest_whole(build: Builder, x: Value, method: str) -> Value:
-    """The whole number nearest to x; by ``method``, halves go to the even one, or away from zero."""
+    """Return the whole number nearest to x.
+
+    Args:
+        build: The builder.
+        x: The number.
+        method: JAX's name of the rule for halves: ``TO_NEAREST_EVEN``, or any other for away from zero.
+    """
     if method == "TO_NEAREST_EVEN":
         return build.add("round", x)
     truncated = build.add("trunc", x)
@@ -206,13 +219,13 @@ def nearest_whole(build: Builder, x: Value, method: str) -> Value:
 
 
 def refuse_other_width(equation: JaxprEqn) -> str | None:
-    """The reason why a bitcast is not translated: operand and result differ in width; else None."""
+    """Return the reason why a bitcast is not translated, if operand and result differ in width; else None."""
     sizes = {np.dtype(array_type(variable).dtype).itemsize for variable in (*equation.invars, *equation.outvars)}
     return None if len(sizes) == 1 else "bits of another width"
 
 
 def refuse_lost_bits(equation: JaxprEqn) -> str | None:
-    """The reason why a reduction of precision is not translated: it removes bits; None if it keeps all bits."""
+    """Return the reason why a reduction of precision is not translated, if it removes or adds bits; else None."""
     own_format = np.finfo(array_type(equation.outvars[0]).dtype)
     own_lengths = own_format.nexp, own_format.nmant  # bits of the exponent and of the mantissa
     kept_lengths = equation.params["exponent_bits"], equation.params["mantissa_bits"]
@@ -225,22 +238,22 @@ def integer_power(build: Builder, operands: Sequence[Value], params: Parameters,
 
 
 def square(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The square of the operand."""
+    """``lax.square``: the square of the operand."""
     return build.add("mul", operands[0], operands[0])
 
 
 def reciprocal_root(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The reciprocal of the operand's square root."""
+    """``lax.rsqrt``: the reciprocal of the operand's square root, which costs a root and a division."""
     return build.add("div", build.constant(1, dtype), build.add("sqrt", operands[0]))
 
 
 def same_bits(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The operand's bits as a number of the result's dtype."""
+    """``lax.bitcast_convert_type``: the number of the result's dtype that has the operand's bits."""
     return build.add("bitcast", *operands, dtype=dtype)
 
 
 def rounding(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The whole number nearest to the operand, by the method of the equation."""
+    """``lax.round``: the whole number nearest to the operand; the equation's parameter is the rule for halves."""
     return nearest_whole(build, operands[0], params["rounding_method"].name)
 
 

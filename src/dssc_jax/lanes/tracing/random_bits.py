@@ -40,22 +40,34 @@ PARITY = 0x1BD11BDA
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """A random key, which consists of two words of 32 bits."""
+    """A random key, which consists of two words of 32 bits.
+
+    Args:
+        high: The upper word.
+        low: The lower word.
+    """
 
     high: Value
     low: Value
 
 
 def rotate_left(build: Builder, x: Value, count: int) -> Value:
-    """A word of 32 bits, rotated left by ``count`` bits."""
+    """Return a word of 32 bits, rotated left by ``count`` bits, of which 0 < count < 32."""
     upper_part = build.add("shl", x, build.constant(count, WORD))
     return build.add("or", upper_part, build.add("shr", x, build.constant(32 - count, WORD)))
 
 
 def threefry(build: Builder, key: Key, high: Value, low: Value) -> tuple[Value, Value]:
-    """Threefry's cipher: encrypt a block of two words with a key.
+    """Encrypt a block of two words with a key by Threefry's cipher; return the two encrypted words.
 
-    After every four of its 20 rounds, it adds two of the key's three words, in turn, and the number of these rounds.
+    After every four of the 20 rounds, the cipher adds two of the key's three words, in turn, and the number of groups
+    of four rounds so far.
+
+    Args:
+        build: The builder.
+        key: The key.
+        high: First word of the block.
+        low: Second word of the block.
     """
     third_word = build.add("xor", build.add("xor", key.high, key.low), build.constant(PARITY, WORD))
     key_words = key.high, key.low, third_word
@@ -74,14 +86,14 @@ def require_threefry(key_type: Any) -> None:
     """Require that keys of a type belong to the generator Threefry.
 
     Raises:
-        Unsupported: They belong to another generator.
+        Unsupported: The keys belong to another generator.
     """
     if "fry" not in str(key_type):  # JAX prints Threefry's type as key<fry>
         raise Unsupported(f"random numbers of another generator, {key_type}")
 
 
 def fold_in(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:
-    """``jax.random.fold_in``: a new key from a key and a number."""
+    """``jax.random.fold_in``: a new key from a key and a number, which is the block that the key encrypts."""
     key, number = operands
     return Key(*threefry(build, key, build.constant(0, WORD), build.add("convert", number, dtype=WORD)))
 
@@ -98,7 +110,7 @@ def seed(build: Builder, operands: Sequence[Any], params: Parameters, equation: 
 
 
 def counter_blocks(build: Builder, key: Key, shape: tuple[int, ...]) -> list[tuple[Value, Value]]:
-    """The encrypted counters 0, 1, 2, ... of a key, one for each element of an array of this shape.
+    """Return the counters 0, 1, 2, ... encrypted by a key: two random words for each element of an array of a shape.
 
     Raises:
         Unsupported: JAX is set to another scheme of counters.
@@ -110,7 +122,7 @@ def counter_blocks(build: Builder, key: Key, shape: tuple[int, ...]) -> list[tup
 
 
 def with_shape(elements: Sequence[Any], shape: tuple[int, ...]) -> Any:
-    """Elements as an array of a shape; for the shape (), the only element itself."""
+    """Return elements as an array of a shape; for the shape (), return the only element itself."""
     if not shape:
         return elements[0]
     tensor = np.empty(len(elements), object)
@@ -119,7 +131,7 @@ def with_shape(elements: Sequence[Any], shape: tuple[int, ...]) -> Any:
 
 
 def bits(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """``jax.random.bits``: an array of random words of 8, 16, 32 or 64 bits."""
+    """``jax.random.bits``: an array of random words of 8, 16, 32 or 64 bits, from the encrypted counters of a key."""
     key = operands[0]
     shape = params["shape"]
     bit_width = params["bit_width"]
@@ -135,7 +147,7 @@ def bits(build: Builder, operands: Sequence[Any], params: Parameters, equation: 
 
 
 def split_key(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """``jax.random.split``: an array of new keys from one key."""
+    """``jax.random.split``: an array of new keys, which are the encrypted counters of one key."""
     shape = params["shape"]
     keys = [Key(high, low) for high, low in counter_blocks(build, operands[0], shape)]
     return with_shape(keys, shape)
@@ -147,7 +159,7 @@ def words_of_key(build: Builder, operands: Sequence[Any], params: Parameters, eq
 
 
 def key_of_words(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:
-    """``jax.random.wrap_key_data``: a key from an array of two words."""
+    """``jax.random.wrap_key_data``: a key from an array of two words; an array of several keys is refused."""
     words = as_tensor(operands[0], build)
     if words.shape != (2,):
         raise Unsupported(f"an array of keys of shape {words.shape[:-1]}")
@@ -155,13 +167,19 @@ def key_of_words(build: Builder, operands: Sequence[Any], params: Parameters, eq
 
 
 def refuse_arrays(equation: JaxprEqn) -> str | None:
-    """The reason why an equation is not translated: an operand is an array of keys or seeds; else None."""
+    """Return the reason why an equation is not translated, if an operand is an array of keys or seeds; else None."""
     has_array = any(array_type(variable).shape != () for variable in equation.invars)
     return "an array of random keys" if has_array else None
 
 
 def single_key_rule(translate: Callable[..., Any], types: Types, **parameters: Condition) -> TranslationRule:
-    """A rule for equations whose operands are single keys or seeds; arguments as for :func:`rule`."""
+    """Return a rule for equations whose operands are single keys or seeds.
+
+    Args:
+        translate: Builds the operations of an equation.
+        types: Types that every operand and result may have.
+        parameters: The condition of each parameter of the equation.
+    """
     return TranslationRule(translate, Specification(types, parameters, refuse_arrays))
 
 

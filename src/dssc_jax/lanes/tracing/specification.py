@@ -38,12 +38,15 @@ Condition = Callable[[object, JaxprEqn], bool]
 
 
 def any_value(value: object, equation: JaxprEqn) -> bool:
-    """The condition of a parameter that may have any value: the rule reads it, or it has no effect on a lane."""
+    """The condition of a parameter that may have any value: true.
+
+    Either the rule reads the parameter, or the parameter has no effect on a lane.
+    """
     return True
 
 
 def no_value(value: object, equation: JaxprEqn) -> bool:
-    """The condition of a parameter that must be None or empty."""
+    """The condition of a parameter that must be None, an empty tuple or an empty list; the equation is not needed."""
     is_empty = isinstance(value, tuple | list) and len(value) == 0
     return value is None or is_empty
 
@@ -55,7 +58,11 @@ def result_type(value: Any, equation: JaxprEqn) -> bool:
 
 
 def one_of(*values: object) -> Condition:
-    """The condition of a parameter that must have one of some values; for members of an enumeration, their names."""
+    """Return the condition of a parameter that must have one of some values.
+
+    Args:
+        values: The values; for a member of an enumeration, its name.
+    """
     return lambda value, equation: getattr(value, "name", value) in values
 
 
@@ -64,10 +71,10 @@ class Specification:
     """The types and parameters of a primitive that are translated exactly.
 
     Args:
-        types: Types that every operand and result may have; None: any, as for a call or a loop, whose inner equations
-            are checked.
+        types: Types that every operand and result may have; None: any type. Calls and loops allow any type, because
+            their inner equations are checked in turn.
         parameters: The condition of each parameter; a parameter that is not listed is refused.
-        exact: ``(equation) -> reason`` why the equation is not translated exactly; None if it is.
+        exact: ``(equation) -> reason`` why the equation is not translated exactly; the reason is None if it is.
     """
 
     types: Types | None
@@ -107,12 +114,18 @@ class TranslationRule:
 
 
 def rule(translate: Callable[..., Any], types: Types | None, **parameters: Condition) -> TranslationRule:
-    """A rule for operands and results of some types, with the condition of each parameter."""
+    """Return a translation rule.
+
+    Args:
+        translate: Builds the operations of an equation.
+        types: Types that every operand and result may have; None: any type.
+        parameters: The condition of each parameter of the equation.
+    """
     return TranslationRule(translate, Specification(types, parameters))
 
 
 def array_type(variable: Variable) -> jax.ShapeDtypeStruct:
-    """Shape and dtype of an operand or a result.
+    """Return the shape and dtype of an operand or a result.
 
     Raises:
         Unsupported: The variable is no array.
@@ -150,7 +163,7 @@ def require_type(aval: object, types: Types) -> None:
 
 
 def abbreviation(value: object) -> str:
-    """The text of a parameter's value on one line of a message, at most 60 characters."""
+    """Return the text of a parameter's value for a message: one line of at most 60 characters."""
     printed_value = str(getattr(value, "name", value))  # the name of a member of an enumeration
     text = " ".join(printed_value.split())
     return text if len(text) <= 60 else f"{text[:57]}..."

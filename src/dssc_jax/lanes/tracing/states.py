@@ -17,10 +17,10 @@ from dssc_jax.lanes.unsupported import Unsupported
 
 
 def flags_of_components(flags: Sequence[int], values: Sequence[Any], build: Builder) -> list[bool]:
-    """A truth value for each scalar of several values, from one flag of each value (0: false).
+    """Repeat the flag of each value for every scalar of the value; return one list of truth values.
 
     Args:
-        flags: The flag of each value.
+        flags: The flag of each value; 0 means false, any other number true.
         values: The values.
         build: The builder.
     """
@@ -31,10 +31,13 @@ def flags_of_components(flags: Sequence[int], values: Sequence[Any], build: Buil
 
 
 def components(value: Any, build: Builder) -> list[Value]:
-    """The scalars of a value, in order: itself, the words of a key, the token of a memory, or an array's elements.
+    """Return the scalars of a value, in order.
+
+    They are the value itself if it is a scalar, the two words of a key, the token of an array in memory, or the
+    elements of any other array.
 
     Raises:
-        Unsupported: The value is a recording or an array of keys, or an array in memory that was read before.
+        Unsupported: The value is a recording, an array of keys, or an array in memory that was read before.
     """
     if isinstance(value, Value):
         return [value]
@@ -51,7 +54,7 @@ def components(value: Any, build: Builder) -> list[Value]:
 
 
 def refuse_recordings(operands: Sequence[Any]) -> None:
-    """Require that no operand is an array that a loop records or carries in memory, which this operation cannot read.
+    """Require that no operand is a recording or an array in memory, of which most operations cannot read the elements.
 
     Raises:
         Unsupported: An operand is such an array.
@@ -64,7 +67,8 @@ def assemble(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
     """Build values from their scalars; the inverse of :func:`flatten`.
 
     Args:
-        likes: Values of the kinds and shapes that are wanted.
+        likes: For each value to build, a value of the same kind and shape. An array in memory among these counts as
+            overwritten afterwards.
         scalars: The scalars of all values, in order.
     """
     remaining = list(scalars)
@@ -85,12 +89,12 @@ def assemble(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
 
 
 def flatten(values: Sequence[Any], build: Builder) -> list[Value]:
-    """The scalars of several values in one list, in order."""
+    """Return the scalars of several values in one list, in order."""
     return [scalar for value in values for scalar in components(value, build)]
 
 
 def is_varying(value: Any) -> bool:
-    """Whether a scalar of a value may differ between lanes."""
+    """Whether any scalar of a value may differ between lanes; an array in memory always may."""
     if isinstance(value, Value):
         return value.varying
     if isinstance(value, Key):

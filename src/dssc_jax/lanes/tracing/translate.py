@@ -43,10 +43,10 @@ def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> 
         lane: A function of scalars; its results may be reduced over the other lanes by ``pmax`` along
             :data:`~dssc_jax.lanes.interface.AXIS`.
         arguments: Trees of ``jax.ShapeDtypeStruct`` with shape ().
-        fast: See :class:`~dssc_jax.lanes.builder.Builder`.
+        fast: Whether products and quotients may be regrouped; see :class:`~dssc_jax.lanes.builder.Builder`.
 
     Returns:
-        The program, with one input for each leaf of the arguments; and the tree of results, with shapes and types.
+        The program, with one input for each leaf of the arguments, and the tree of results, with shapes and types.
 
     Raises:
         Unsupported: An operation has no rule.
@@ -55,7 +55,15 @@ def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> 
 
 
 def traced_program(translator: "Translator", lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
-    """Trace the program of one lane, and translate it by ``translator``; otherwise as :func:`translate`.
+    """Trace the program of one lane, and translate it by a given translator.
+
+    Args:
+        translator: The translator, with a builder that is empty so far.
+        lane: A function of scalars.
+        arguments: Trees of ``jax.ShapeDtypeStruct`` with shape ().
+
+    Returns:
+        The program, and the tree of results, with shapes and types.
 
     Raises:
         Unsupported: An operation has no rule.
@@ -71,10 +79,10 @@ def traced_program(translator: "Translator", lane: Callable[..., Any], *argument
 
 
 def require_output(value: Any) -> Value | Recording:
-    """Require that a value is a scalar or a recording, as a result of a lane must be; return it.
+    """Require that a value is a scalar or a recording, as a result of a lane must be; return the value.
 
     Raises:
-        Unsupported: It is an array.
+        Unsupported: The value is an array of another kind, or a random key.
     """
     if not isinstance(value, Value | Recording):
         raise Unsupported("an array as a result")
@@ -111,7 +119,7 @@ class Translator:
         scope.update(zip(jaxpr.invars, operands, strict=True))
 
         def read(atom: Any) -> Any:
-            """The value of an operand or result, which is a literal of the trace or a variable."""
+            """Return the value of an operand or result, which is a literal of the trace or a variable."""
             return self.constant(atom.val, array_type(atom).dtype) if isinstance(atom, Literal) else scope[atom]
 
         for equation in jaxpr.eqns:
@@ -123,11 +131,17 @@ class Translator:
         return [read(atom) for atom in jaxpr.outvars]
 
     def constant(self, number: Any, dtype: Any = None) -> Any:
-        """A constant of a trace, as a value: a number, a table or a random key.
+        """Return a constant of a trace in the form in which the translator keeps it.
+
+        A number becomes a value of the program, an array stays an array of numbers, and a random key becomes a
+        :class:`Key`.
 
         Args:
             number: The constant.
-            dtype: Dtype of the value; None: the constant's own.
+            dtype: Dtype of the result; None: the constant's own dtype.
+
+        Raises:
+            Unsupported: The constant is an array of keys, or a key of a generator other than Threefry.
         """
         if is_key(jax.typeof(number)):
             random_bits.require_threefry(number.dtype)
@@ -141,8 +155,12 @@ class Translator:
     def equation(self, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """Translate one equation, and return its results.
 
+        Args:
+            equation: The equation.
+            operands: The operands, as values of the trace.
+
         Raises:
-            Unsupported: There is no rule for its primitive, or the rule does not translate it exactly.
+            Unsupported: The equation's primitive has no rule, or the rule does not translate the equation exactly.
         """
         name = equation.primitive.name
         for rules, apply in self.families:
@@ -155,7 +173,7 @@ class Translator:
     def families(
         self,
     ) -> Sequence[tuple[Mapping[str, TranslationRule], Callable[[Any, JaxprEqn, list[Any]], Sequence[Any]]]]:
-        """The tables of rules, each with the method that applies a rule of this table."""
+        """The tables of rules by primitive, each with the method that applies the rules of the table."""
         return (
             (INLINED, self.apply_to_program),
             (LOOPS, self.apply_to_program),
@@ -169,7 +187,10 @@ class Translator:
         )
 
     def apply_to_program(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """Apply a rule whose translation needs the translator: for inner programs, or a reduction over the lanes."""
+        """Apply a rule whose translation needs this translator itself, because it translates inner programs.
+
+        Rules of reductions over the lanes are called in the same way.
+        """
         return translation.translate(self, equation, operands)
 
     def apply_to_elements(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
@@ -178,7 +199,7 @@ class Translator:
         dtype = np.dtype(array_type(equation.outvars[0]).dtype)
 
         def translate_element(*scalars: Value) -> Value:
-            """The operation's result for one element of each operand."""
+            """Return the operation's result for one element of each operand."""
             return translation.translate(self.build, scalars, equation.params, dtype)
 
         return [elementwise(translate_element, self.build, operands)]
@@ -186,13 +207,17 @@ class Translator:
     def apply_traced_function(
         self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]
     ) -> Sequence[Any]:
-        """Apply a rule of an elementary function to each element; the function is a program of JAX, which is traced."""
+        """Apply a rule of an elementary function to each element.
+
+        The function consists of JAX's arithmetic. It is traced, and its trace is translated for each element. A
+        :class:`RareRule` adds a subroutine for rare arguments.
+        """
         refuse_recordings(operands)
         types = [np.dtype(array_type(atom).dtype) for atom in equation.invars]
         function = self.trace_of(translation.translate, types)
 
         def usual_result(*scalars: Value) -> Value:
-            """The function's result for one element of each operand."""
+            """Return the function's result for one element of each operand."""
             return self.run(function, scalars)[0]
 
         if not isinstance(translation, RareRule):
@@ -201,7 +226,7 @@ class Translator:
         subroutine = self.subroutine(translation.rarely, types)
 
         def usual_or_rare_result(*scalars: Value) -> Value:
-            """The function's result or, where the arguments are rare, the result of the subroutine."""
+            """Return the function's result or, for rare arguments, the result of the subroutine."""
             usual = usual_result(*scalars)
             is_rare = self.run(condition, scalars)[0]
             return self.build.add("rarely", is_rare, usual, *scalars, dtype=usual.dtype, detail=subroutine)
@@ -209,14 +234,17 @@ class Translator:
         return [elementwise(usual_or_rare_result, self.build, operands)]
 
     def apply_to_arrays(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """Apply a rule of an operation that moves or combines the elements of arrays."""
+        """Apply a rule whose translation takes whole arrays: it moves, combines or draws elements, or calls C."""
         if translation not in MEMORY_RULES:
             refuse_recordings(operands)
         results = translation.translate(self.build, operands, equation.params, equation)
         return results if equation.primitive.multiple_results else [results]
 
     def trace_of(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> ClosedJaxpr:
-        """The trace of an elementary function of scalars with some dtypes, made once, with 64 bits allowed."""
+        """Return the trace of an elementary function of scalars, which is made once for each combination of dtypes.
+
+        JAX's 64 bits are enabled for the trace, because a function may compute in float64 whatever its arguments are.
+        """
         key = function, *types
         if key not in self._traces:
             scalars = [jax.ShapeDtypeStruct((), dtype) for dtype in types]
@@ -225,7 +253,7 @@ class Translator:
         return self._traces[key]
 
     def subroutine(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> Subroutine:
-        """The subroutine of a function of scalars with some dtypes, translated once."""
+        """Return the subroutine of a function of scalars, which is translated once for each combination of dtypes."""
         key = function, *types
         if key not in self._subroutines:
             translator = Translator(Builder(self.build.fast))
@@ -238,7 +266,7 @@ class Translator:
 
 
 def inline_call(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """Translate the program of a call in place of the call; return its results."""
+    """Translate the program of a call in place of the call; return the results of the program."""
     inner: Any = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
     program = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())  # (): it has no constants
     return translator.run(program, operands)
@@ -252,7 +280,11 @@ def inline_whole_operation(translator: Translator, equation: JaxprEqn, operands:
 
 
 def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """``lax.pmax`` over the lanes of numbers that are 0 or 1: whether any lane has a 1."""
+    """``lax.pmax`` over the lanes of whole numbers that are 0 or 1: 1 if any lane has a 1, else 0.
+
+    Raises:
+        Unsupported: An operand is an array.
+    """
     build = translator.build
     results = []
     for operand in operands:
@@ -264,7 +296,10 @@ def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: lis
 
 
 def is_lane_axis(axes: Any, equation: JaxprEqn) -> bool:
-    """Whether a reduction runs over the lanes alone, and not along an axis of the user's, which has no translation."""
+    """Whether a reduction runs over the lanes alone; one along an axis of the user's has no translation.
+
+    This is the condition of a parameter; the equation is not needed.
+    """
     return tuple(axes) == (AXIS,)
 
 

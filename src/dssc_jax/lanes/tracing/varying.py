@@ -1,7 +1,7 @@
-"""Analysis of a trace, before its translation: the values that may differ between lanes, and are called varying.
+"""Analysis of a trace, before its translation: which values are *varying*, that is, may differ between lanes.
 
-The builder needs to know which states of a loop vary before it builds the loop's body. If an operand of an equation
-varies, so do its results; in loops this is repeated until nothing changes.
+The builder needs to know which states of a loop vary before it builds the loop's body. The rule is that the results of
+an equation vary if an operand does. In loops the rule is applied until nothing changes.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,9 +22,10 @@ def is_key(aval: Any) -> bool:
 
 
 def parts_of_scan(equation: JaxprEqn) -> tuple[int, int]:
-    """The number of a scan's constants and the number of its states, which are its first operands, in this order.
+    """Return the number of a scan's constants and the number of its states.
 
-    JAX stores these two numbers up to version 0.10; from 0.11 on, it stores the tree of the operands.
+    The operands of a scan are its constants, then its initial states, then the arrays whose rows it takes. JAX stores
+    the two numbers up to version 0.10; from 0.11 on, it stores the tree of the operands.
     """
     params = equation.params
     if "ft_in" in params:  # the tree
@@ -34,10 +35,10 @@ def parts_of_scan(equation: JaxprEqn) -> tuple[int, int]:
 
 
 class VaryingResults:
-    """Finds the results of a program that vary, from the operands that do.
+    """Finds out which results of a program vary, given which of its operands vary.
 
-    A *mask* is an integer that tells when a value varies. Bit 0: always; bit i + 1: if operand i of the program varies.
-    The mask of a value that depends on several others is their bitwise "or".
+    A *mask* is an integer that tells when a value varies. Bit 0: always; bit i + 1: if operand i of the program varies;
+    no bit: never. The mask of a value that depends on several others is the bitwise "or" of their masks.
     """
 
     def __init__(self) -> None:
@@ -45,10 +46,10 @@ class VaryingResults:
         self._masks: dict[int, tuple[Jaxpr, list[int]]] = {}
 
     def of(self, jaxpr: Jaxpr, operands: Sequence[int]) -> list[int]:
-        """The mask of each result of a jaxpr, from the mask of each operand.
+        """Return the mask of each result of a jaxpr, given the mask of each operand.
 
-        The masks in terms of the jaxpr's inputs are computed once. The jaxpr is stored with them, so that no other
-        jaxpr can get its id.
+        The masks in terms of the jaxpr's own inputs are computed once and kept, by the jaxpr's id. The jaxpr is stored
+        with the masks, so that it stays alive and no other jaxpr gets the same id.
         """
         if id(jaxpr) not in self._masks:
             self._masks[id(jaxpr)] = jaxpr, self._in_terms_of_inputs(jaxpr)
@@ -56,11 +57,11 @@ class VaryingResults:
         return [with_operands(mask, operands) for mask in masks]
 
     def _in_terms_of_inputs(self, jaxpr: Jaxpr) -> list[int]:
-        """The mask of each result of a jaxpr, in which bit i + 1 stands for input i."""
+        """Return the mask of each result of a jaxpr, in which bit i + 1 stands for the jaxpr's input i."""
         scope: dict[Var, int] = {variable: 1 << (i + 1) for i, variable in enumerate(jaxpr.invars)}
 
         def read(atoms: Iterable[Any]) -> list[int]:
-            """The masks of operands or results; 0, which is "never", for literals and constants."""
+            """Return the masks of operands or results; 0, which means never, for literals and constants."""
             return [0 if isinstance(atom, Literal) else scope.get(atom, 0) for atom in atoms]
 
         for equation in jaxpr.eqns:
@@ -70,9 +71,9 @@ class VaryingResults:
     def of_while(
         self, head: Jaxpr, body: Jaxpr, operands: Sequence[int], first_body_constant: int, first_state: int
     ) -> tuple[list[int], int]:
-        """The mask of each state of a while loop, and the mask of its condition.
+        """Return the mask of each state of a while loop, and the mask of the loop's condition.
 
-        If the condition varies, some lanes keep their states while others go on, so that all states vary.
+        If the condition varies, some lanes keep their states while others continue, so all states vary.
 
         Args:
             head: The loop's condition.
@@ -93,7 +94,7 @@ class VaryingResults:
             state = next_state
 
     def of_scan(self, body: Jaxpr, operands: Sequence[int], first_state: int, first_row: int) -> list[int]:
-        """The mask of each state of a scan.
+        """Return the mask of each state of a scan.
 
         Args:
             body: The scan's body.
@@ -112,7 +113,7 @@ class VaryingResults:
             state = next_state
 
     def _equation(self, equation: JaxprEqn, operands: list[int]) -> list[int]:
-        """The masks of one equation's results, from the masks of its operands."""
+        """Return the masks of one equation's results, given the masks of its operands."""
         name = equation.primitive.name
         params = equation.params
         count = len(equation.outvars)
@@ -144,7 +145,12 @@ class VaryingResults:
 
 
 def with_operands(mask: int, operands: Sequence[int]) -> int:
-    """A mask in which the mask of operand i takes the place of bit i + 1; bit 0 stays."""
+    """Translate the mask of a result from the inputs of an inner program to those of the outer one.
+
+    Args:
+        mask: The mask, in which bit i + 1 stands for operand i of the inner program.
+        operands: The mask of each operand in the outer program. It takes the place of bit i + 1; bit 0 stays.
+    """
     result = mask & 1
     for i, operand_mask in enumerate(operands):
         if mask >> (i + 1) & 1:
