@@ -39,7 +39,14 @@ def newton(x, i):
     return jax.lax.while_loop(lambda r: jnp.abs(r * r - jnp.abs(x)) > 1e-9, lambda r: 0.5 * (r + jnp.abs(x) / r), 1.0)
 
 
+def drawn(x, i):
+    """A loop with a key for each turn."""
+    keys = jax.random.split(jax.random.fold_in(jax.random.key(3), i), 5)
+    return jax.lax.scan(lambda state, key: (state + x * jax.random.uniform(key), None), x, keys)[0]
+
+
 CASES = {
+    "keys of turns": drawn,
     "matrix": lambda x, i: jnp.sum(MATRIX @ jnp.stack([x, 2.0 * x, x * x, 1.0])),
     "table": lambda x, i: jnp.asarray(TABLE)[i * 150],
     "table, clipped": lambda x, i: jnp.take(jnp.asarray(TABLE), i * 400, mode="clip"),
@@ -334,6 +341,15 @@ def test_lanes_tell_when_they_ended_not_when_somebody_asks():
     finish = CompiledLanes(jnp.sin, jax.ShapeDtypeStruct((), np.float64)).start_timed((X,), LANES, 2)
     (_, ended), asked, (_, again) = finish(), time.perf_counter(), finish()
     assert ended == again <= asked
+
+
+def test_a_loop_over_what_another_one_recorded_is_refused():
+    def twice(x):
+        _, recorded = jax.lax.scan(lambda state, _: (state + x, state), x, None, length=4)
+        return jax.lax.scan(lambda state, value: (state + value, None), x, recorded)[0]
+
+    with pytest.raises(Unsupported, match="an array that a loop records or carries"):
+        translate(twice, jax.ShapeDtypeStruct((), np.float64))
 
 
 def test_what_has_no_translation_is_named():

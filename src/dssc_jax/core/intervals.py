@@ -162,8 +162,9 @@ def cosine(a: Interval) -> Interval:
 
 
 def absolute(a: Interval) -> Interval:
-    """Return an interval that encloses |a|; its lower end may be negative if a has numbers of both signs."""
-    return maximum(a, negative(a))
+    """Return the interval of |a|; it begins at 0 if a has numbers of both signs."""
+    enclosing = maximum(a, negative(a))
+    return enclosing._replace(low=np.maximum(enclosing.low, 0.0))
 
 
 def minimum(a: Interval, b: Interval) -> Interval:

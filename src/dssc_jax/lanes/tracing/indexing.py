@@ -18,6 +18,7 @@ from dssc_jax.lanes.builder import Builder
 from dssc_jax.lanes.program import Value
 from dssc_jax.lanes.tracing.arrays import Tensor, as_array, as_tensor, elementwise, from_tensor
 from dssc_jax.lanes.tracing.memory import Memory
+from dssc_jax.lanes.tracing.random_bits import Key
 from dssc_jax.lanes.tracing.specification import (
     NUMBER_TYPES,
     SCALARS,
@@ -38,17 +39,29 @@ MODES = one_of("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS")
 """Condition of the mode of a gather or scatter, which tells what happens at indices beyond the array."""
 
 
-def element(build: Builder, table: Tensor, position: Value) -> Value:
+def element(build: Builder, table: Tensor, position: Value) -> Value | Key:
     """Return the element of a one-dimensional array at a position.
 
     Args:
         build: The builder.
-        table: The array, constant or of values.
+        table: The array: constant, of values or of random keys.
         position: The position, which must lie within the array.
 
     Raises:
         Unsupported: The array is not constant, and has more than :data:`MOST_SELECTS` elements.
     """
+    if table.dtype != object or not table.size or not isinstance(table[0], Key):
+        return value_at(build, table, position)
+    highs = np.empty_like(table)
+    lows = np.empty_like(table)
+    for number, key in enumerate(table):
+        highs[number] = key.high
+        lows[number] = key.low
+    return Key(value_at(build, highs, position), value_at(build, lows, position))
+
+
+def value_at(build: Builder, table: Tensor, position: Value) -> Value:
+    """Return the value of a one-dimensional array, constant or of values, at a position; see :func:`element`."""
     if position.operation == "constant":
         entry = table[int(position.detail)]
         return entry if table.dtype == object else build.constant(entry, table.dtype)

@@ -84,6 +84,7 @@ def scan_rule(translator: "Translator", equation: JaxprEqn, operands: list[Any])
     constants = operands[:first_state]
     initial_state = operands[first_state:first_row]
     tables = operands[first_row:]  # a turn gets one row of each
+    refuse_recordings(tables)
     if translator.has_memory:
         initial_state = move_to_memory(build, initial_state, body.jaxpr, len(constants))
     recordings = recordings_of_scan(equation, state_count)
