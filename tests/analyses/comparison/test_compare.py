@@ -18,6 +18,7 @@ from dssc_jax.analyses.comparison.tuning import (
     slack_or_metric,
     untuned_reason,
 )
+from dssc_jax.closed_loop.metrics.performance import PERFORMANCE
 from dssc_jax.closed_loop.metrics.streaming import METRICS
 from dssc_jax.results.manifest import write_sealed
 from dssc_jax.statistics import compare_failures
@@ -54,7 +55,7 @@ def test_every_controller_runs_alone_as_in_company(study, found):
 @pytest.mark.parametrize(("name", "sign"), [("error_rms", -1.0), ("rotor_thrust_min", 1.0)])
 def test_without_requirements_a_tuning_seeks_the_good_side_of_the_first_metric(name, sign):
     """Small errors, and a large least thrust."""
-    measure = SimpleNamespace(name=name, metric=METRICS[name])
+    measure = SimpleNamespace(name=name, metric=(METRICS | PERFORMANCE)[name])
     values = np.array([0.5, 2.0, np.nan])
     found = slack_or_metric(SimpleNamespace(requirements=(), measures=(measure,)), {name: values})
     np.testing.assert_array_equal(found, [sign * 0.5, sign * 2.0, -np.inf])
