@@ -89,6 +89,7 @@ def initial_progress(
     """
     zero = jnp.zeros((), dtype=jnp.int32)
     no_samples = jnp.zeros((), dtype=integer_type())
+    fine = jnp.asarray(Outcome.OK, dtype=integer_type())
     in_band = () if loop.settled is None else zero
     state = initial_state(loop, params, key)
     first_violations = as_arrays(tuple(0.0 for requirement in requirements if requirement.violation_is_final))
@@ -96,7 +97,7 @@ def initial_progress(
         k=zero,
         state=state,
         accumulators=as_arrays(initial_accumulators(measures, margins)),
-        outcome=no_samples,
+        outcome=fine,
         steps=no_samples,
         in_band=in_band,
         violations=first_violations,
@@ -179,7 +180,7 @@ def make_sample_step(
                 (state, in_band, violations),
                 (progress.state, progress.in_band, progress.violations),
             )
-            accumulators = jax.tree.map(partial(select_number, is_completed), accumulators, progress.accumulators)
+            accumulators = jax.tree.map(partial(updated_leaf, is_completed), accumulators, progress.accumulators)
         return Progress(
             k=progress.k + 1,
             state=state,
@@ -208,17 +209,18 @@ def outcome_at_sample(recorded: Recorded) -> tuple[Scalar, Scalar]:
     return jnp.where(recorded.finite, outcome, integer(Outcome.NON_FINITE)), is_ended
 
 
-def select_number(is_completed: Scalar, new: jax.Array, old: jax.Array) -> jax.Array:
-    """The new number of an accumulator if the sample is completed, else the old number.
+def updated_leaf(is_completed: Scalar, new: jax.Array, old: jax.Array) -> jax.Array:
+    """A leaf of an accumulator after a sample: a number changes only if the sample is completed.
 
-    An array is always replaced by the new one: it holds the delay lines of a formula, which no final value reads.
+    An array always changes: it is a delay line of a formula, on which no final value of a metric depends.
 
     Args:
         is_completed: Whether the draw was running and has completed the sample.
         new: Leaf of the accumulator after the sample.
         old: The same leaf before the sample.
     """
-    return new if jnp.ndim(new) else jnp.where(is_completed, new, old)
+    is_delay_line = jnp.ndim(new) > 0
+    return new if is_delay_line else jnp.where(is_completed, new, old)
 
 
 def simulate_draw(

@@ -167,4 +167,6 @@ def in_order(column: np.ndarray, length: int | None, width: int) -> np.ndarray:
     """
     if length is None:
         return column
-    return np.moveaxis(column.reshape(-1, length, width), 1, 2).reshape(-1, length)
+    groups = column.reshape(-1, length, width)  # of neighbouring lanes, sample, lane of the group
+    by_lane = np.swapaxes(groups, 1, 2)
+    return by_lane.reshape(-1, length)

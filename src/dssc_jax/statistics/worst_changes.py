@@ -139,18 +139,22 @@ class WeightedDraws:
         return np.asarray(best.x)
 
     def _starts(self, failing: np.ndarray, sign: float, low: float, high: float) -> list[np.ndarray]:
-        """Starts of the search: no change, the corner along the gradient at no change, corners towards failing draws.
+        """Starts of the search: no change, the corner along the signed gradient at no change, and further corners.
 
-        A corner has the least or the greatest amount of every number.
+        A corner has the least or the greatest amount of every number. For the sign 1 the further corners lie towards
+        the mean failing score and towards some failing draws, for -1 on the other side.
 
         Args:
             failing: Scores of the failing draws, shape (failures, numbers).
             sign: 1 for the largest probability, -1 for the smallest.
             low: Least amount of each number.
             high: Greatest amount of each number.
+
+        Returns:
+            Amounts of the change, shape (numbers,) each.
         """
-        chosen = np.linspace(0, len(failing) - 1, STARTS - 1).astype(int)
-        directions = [failing.mean(axis=0), *failing[chosen]]
+        draw_indices = np.linspace(0, len(failing) - 1, STARTS - 1).astype(int)  # the mean is one of the STARTS
+        directions = [failing.mean(axis=0), *failing[draw_indices]]
         corners = [np.where(sign * direction > 0.0, high, low) for direction in directions]
         unmoved = np.zeros(failing.shape[1])
         equal_weights = np.full(len(failing), 1.0 / len(failing))

@@ -118,6 +118,9 @@ def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
         problem: The certificate's problem.
         name: Name of the channel: ``x``, ``z`` or ``psi``.
         damping: c, the damping by drag [1/s]; the channel psi has none.
+
+    Raises:
+        ValueError: There is no channel of that name.
     """
     l0 = arb(problem["channels"][name]["l0"])
     match name:
@@ -125,8 +128,10 @@ def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
             return plane_channel(problem, l0, arb(damping))
         case "z":
             return vertical_channel(problem, l0, arb(damping))
-        case _:
+        case "psi":
             return yaw_channel(problem, l0)
+        case _:
+            raise ValueError(f"a vehicle has no channel {name!r}")
 
 
 def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
