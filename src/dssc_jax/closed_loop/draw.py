@@ -89,7 +89,7 @@ def initial_progress(
     """
     zero = jnp.zeros((), dtype=jnp.int32)
     no_samples = jnp.zeros((), dtype=integer_type())
-    fine = jnp.asarray(Outcome.OK, dtype=integer_type())
+    ok_outcome = jnp.asarray(Outcome.OK, dtype=integer_type())
     in_band = () if loop.settled is None else zero
     state = initial_state(loop, params, key)
     first_violations = as_arrays(tuple(0.0 for requirement in requirements if requirement.violation_is_final))
@@ -97,7 +97,7 @@ def initial_progress(
         k=zero,
         state=state,
         accumulators=as_arrays(initial_accumulators(measures, margins)),
-        outcome=fine,
+        outcome=ok_outcome,
         steps=no_samples,
         in_band=in_band,
         violations=first_violations,

@@ -30,10 +30,10 @@ MOST_FACTORS = 3
 
 
 def show_comparison(comparison: Comparison, files: list[Path]) -> None:
-    """Print the failures of each controller and the difference of each pair, before and, if gains were tuned, after
-    tuning.
+    """Print the failures of each controller and the difference of each pair, before and after a tuning.
 
-    The gains before tuning are the given ones, or those that correspond to the gains of DSSC (Table 2).
+    Without a tuning there are only those before. The gains before tuning are the given ones, or those that correspond
+    to the gains of DSSC (Table 2).
 
     Args:
         comparison: The comparison.

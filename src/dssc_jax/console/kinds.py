@@ -336,8 +336,7 @@ def metric_description(metric: Metric) -> MetricDescription:
 
 
 def show_kind(name: str) -> None:
-    """Print everything with a name: a law, a metric, kinds with their fields, and the kinds that have a field of this
-    name.
+    """Print everything with a name: a law, a metric, kinds with their fields, and kinds with a field of that name.
 
     Args:
         name: The name, as for :func:`entries_named`.

@@ -146,8 +146,7 @@ def show_fresh_draws(answer: LawErrorsAnswer) -> None:
 
 
 def least_shift_first(law: LawError) -> tuple[float, float]:
-    """Return a law's key for sorting: the estimated admissible shift of its mean, then the admissible shift with
-    confidence.
+    """Return a law's key for sorting: the admissible shift of its mean, first as estimated, then with confidence.
 
     An estimate of None means that no shift reaches the limit; such laws come last.
     """

@@ -104,8 +104,7 @@ def cost_panel(ax: Axes, tuned: Analysis, verdict: VerdictSummary) -> None:
 
 @styled
 def falsification(falsified: Analysis) -> Figure:
-    """Plot the slacks along the search and over the distance of the draws, and the place of the worst draw within the
-    laws.
+    """Plot the slacks along the search and over the draws' distance, and where in the laws the worst draw is.
 
     Args:
         falsified: The return value of :func:`dssc_jax.falsify`.

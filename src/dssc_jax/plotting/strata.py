@@ -10,8 +10,9 @@ from dssc_jax.statistics import clopper_pearson
 
 @styled
 def strata(analysis: Analysis) -> Figure:
-    """Plot the strata: probability and share of the draws on the left, share of failures with exact intervals on the
-    right.
+    """Plot the strata: probability and share of the draws on the left, share of failures on the right.
+
+    Exact intervals belong to the shares of failures.
 
     Args:
         analysis: The return value of :func:`dssc_jax.probability`.

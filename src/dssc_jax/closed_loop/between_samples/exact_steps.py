@@ -70,15 +70,7 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
     movers = make_movers(parts, unmodelled, h)
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
-        """The states of plant and unmodelled dynamics after the sample that begins at t [s].
-
-        Args:
-            drive_at: Returns the plant's input for a state, the commands that reach the plant, and a time.
-            plant: State of the plant at t.
-            states: States of the unmodelled dynamics at t.
-            commands: The command of each channel, held over the sample.
-            t: Time at which the sample begins [s].
-        """
+        """The states of plant and unmodelled dynamics after a sample; see :data:`Advance`."""
 
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
             """The states of plant and unmodelled dynamics after the substep with this index.

@@ -52,15 +52,7 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, obser
     substep_for = fixed_substeps(parts, params, unmodelled)
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
-        """The states of plant and unmodelled dynamics after the sample that begins at t [s].
-
-        Args:
-            drive_at: Returns the plant's input for a state, the commands that reach the plant, and a time.
-            plant: State of the plant at t.
-            states: States of the unmodelled dynamics at t.
-            commands: The command of each channel, held over the sample.
-            t: Time at which the sample begins [s].
-        """
+        """The states of plant and unmodelled dynamics after a sample; see :data:`Advance`."""
         return repeat_substeps(substep_for(drive_at, commands, t), (plant, states), parts.substeps)
 
     return advance
@@ -87,16 +79,7 @@ def advance_with_software(
     steps_per_tick = parts.substeps // ticks
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
-        """The states of plant and unmodelled dynamics after the sample that begins at t [s], with all ticks of the
-        software.
-
-        Args:
-            drive_at: Returns the plant's input for a state, the commands that reach the plant, and a time.
-            plant: State of the plant at t.
-            states: States of the unmodelled dynamics at t.
-            commands: The command of each channel, held over the sample.
-            t: Time at which the sample begins [s].
-        """
+        """The states of plant and unmodelled dynamics after a sample with its ticks; see :data:`Advance`."""
         substep = substep_for(drive_at, commands, t)
         outputs = []
         for model, p, state, command in zip(parts.unmodelled, unmodelled, states, commands, strict=True):

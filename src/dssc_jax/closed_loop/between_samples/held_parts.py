@@ -23,7 +23,11 @@ States = tuple[State, ...]
 """State, or parameters, of the unmodelled dynamics of each channel."""
 
 Advance = Callable[[DriveAt, State, States, Signals, Scalar], tuple[State, States]]
-"""``(drive, plant's state, states of the unmodelled dynamics, commands, t)`` -> both states after the sample."""
+"""``(drive_at, plant, states, commands, t)`` -> states of plant and unmodelled dynamics after the sample.
+
+The sample begins at the time t [s], at which the plant has the state ``plant``, and the unmodelled dynamics have
+``states``. The command of each channel is held over it. ``drive_at`` returns the plant's input.
+"""
 
 Substep = Callable[[Scalar, tuple[State, States]], tuple[State, States]]
 """``(index of the substep, both states)`` -> both states after the substep."""

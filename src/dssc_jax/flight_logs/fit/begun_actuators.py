@@ -58,31 +58,29 @@ def prediction_from_equilibrium(predict: Prediction, first: float, gain: float) 
     return prediction
 
 
-def begun_actuator(problem: FitProblem, minimum: Minimum, results: list[Explained]) -> MendedCommand | None:
+def begun_actuator(
+    problem: FitProblem, minimum: Minimum, results: list[Explained], logged: Refit
+) -> MendedCommand | None:
     """Fit a log with an actuator that begins in its equilibrium under the first command.
 
     Args:
-        problem: The problem, with the noise of the minimum.
+        problem: The problem of one channel, with the noise of the minimum.
         minimum: The minimum with an actuator that begins at rest.
         results: How well the study describes each channel.
+        logged: The fit of the log with such an actuator, with white noise.
 
     Returns:
-        None unless this lowers a doubtful residual to noise. None, too, if the first command is 0 or replayed, the
-        actuator has no steady gain, or the study has several channels.
+        None unless this lowers the residual to noise. None, too, if the first command is 0, or the actuator has no
+        steady gain.
     """
-    is_doubtful = any(result.is_doubtful for result in results)
     log = problem.log
-    if problem.count.is_stopped or not is_doubtful or len(log.commands) > 1 or len(problem.readings) != 1:
-        return None
-    if log.replayed:  # of a log without a command
-        return None
     first = float(log.commands[0, 0])
     gain = steady_gain(problem.study)
     if gain is None or first == 0.0:
         return None
     mended = refit(replace(problem, predict=prediction_from_equilibrium(problem.predict, first, gain)), minimum, log)
     residual = mended.residual(0)
-    logged_residual = refit(problem, minimum, log).residual(0)
+    logged_residual = logged.residual(0)
     if not residual < LARGE_PART * min(results[0].residual, logged_residual):
         return None
     end = reweighted_minimum(mended.problem, mended.minimum)

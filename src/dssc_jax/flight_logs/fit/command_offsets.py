@@ -52,14 +52,12 @@ class MendedCommand(NamedTuple):
 
 
 def logged_offset(problem: FitProblem) -> float | None:
-    """The constant [u] by which the logged command differs from that of the analysed controller.
+    """The constant [u] by which the logged command of one channel differs from that of the analysed controller.
 
     Returns:
-        None if there is no such constant, the study has several channels, or the controller cannot be replayed.
+        None if there is no such constant, or the controller cannot be replayed.
     """
     log = problem.log
-    if len(problem.readings) != 1 or len(log.commands) != 1 or log.replayed:
-        return None
     (reference,) = study_references(problem.study, log.commands.shape[1])
     try:
         replayed = replayed_channel(problem.study, 0, log.signals[0], reference)
@@ -68,24 +66,24 @@ def logged_offset(problem: FitProblem) -> float | None:
     return None if isinstance(replayed, str) else constant_offset(log.commands[0], replayed)
 
 
-def mended_command(problem: FitProblem, minimum: Minimum, results: list[Explained]) -> MendedCommand | None:
+def without_offset(
+    problem: FitProblem, minimum: Minimum, results: list[Explained], logged: Refit
+) -> MendedCommand | None:
     """Fit a log without the constant in its command.
 
     Args:
-        problem: The problem, with the noise of the minimum.
+        problem: The problem of one channel, with the noise of the minimum.
         minimum: The minimum.
         results: How well the study describes each channel.
+        logged: The fit of the log with its command, with white noise.
 
     Returns:
-        None if noise explains the residual, the command has no constant, or the vehicle answered the constant.
+        None if the command has no constant, or the vehicle answered the constant.
     """
-    if problem.count.is_stopped or not any(result.is_doubtful for result in results):
-        return None
     offset = logged_offset(problem)
     if offset is None:
         return None
     log = problem.log
-    logged = refit(problem, minimum, log)
     white = refit(problem, minimum, log._replace(commands=log.commands - offset))
     end = reweighted_minimum(white.problem, white.minimum)
     mended = min((white, Refit(white.problem, end)), key=lambda fit: fit.residual(0))

@@ -78,6 +78,11 @@ class FreeIntegrals(NamedTuple):
             difference += math.log(max(residual, TINY)) - math.log(max(shifted.get(channel, unshifted), TINY))
         return difference < 0.0
 
+    def explain_more_than(self, delay: Delay | None) -> bool:
+        """Whether the integrals matter, explain much of the residual, and explain it better than a delay, if any."""
+        is_cause = self.differ_and_matter and self.explain_much
+        return is_cause and (delay is None or self.leave_less_than(delay))
+
 
 class Step(NamedTuple):
     """A Gauss-Newton step over p numbers and q integrals.

@@ -282,6 +282,7 @@ def fitted_minimum(
     fitted_names = problem.fitted_names
     require_identifiable(fitted_names, marginal_information(search.best.equations.information, fitted))
     integrals = free_integrals(problem, search.best)
+    delay = None
     if integrals is not None and integrals.differ_and_matter:
         lateness = None if problem.count.reason else late_output(problem, search.best)
         delay = certain_delay(problem, lateness, results)
@@ -305,7 +306,7 @@ def fitted_minimum(
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     noise_by_channel = dict(zip(channels, noises, strict=True))
     doubts_of_residuals = (
-        *doubts_of_estimates(problem, search.best, results, np.sqrt(np.diag(covariance)), known),
+        *doubts_of_estimates(problem, search.best, results, np.sqrt(np.diag(covariance)), known, delay),
         *held_doubts(problem.log),
         *freed_doubts(problem.log),
         *doubts_of_commands,

@@ -165,7 +165,9 @@ def replace_prediction(problem: FitProblem, prediction: tuple[np.ndarray, np.nda
     return problem
 
 
-def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
+def delay_doubts(
+    problem: FitProblem, minimum: Minimum, results: Sequence[Explained], lateness: Delay | None = None
+) -> tuple[SignalWarning, ...]:
     """The doubt about outputs, or commands, that are later or earlier than the study predicts, with the remedy.
 
     If other integrals at the first sample explain the flight better than a delay, the doubt is about the integrals. The
@@ -175,18 +177,16 @@ def delay_doubts(problem: FitProblem, minimum: Minimum, results: Sequence[Explai
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
         results: How well the study describes each channel.
+        lateness: A certain delay of the outputs that explains the flight better than other integrals; None: both are
+            looked for here.
     """
     if problem.count.reason:
         return screened_doubts(problem, minimum)
-    lateness = certain_delay(problem, late_output(problem, minimum), results)
-    integrals = free_integrals(problem, minimum)
-    if (
-        integrals is not None
-        and integrals.differ_and_matter
-        and integrals.explain_much
-        and (lateness is None or integrals.leave_less_than(lateness))
-    ):
-        return (integral_doubt(problem, integrals),)
+    if lateness is None:
+        lateness = certain_delay(problem, late_output(problem, minimum), results)
+        integrals = free_integrals(problem, minimum)
+        if integrals is not None and integrals.explain_more_than(lateness):
+            return (integral_doubt(problem, integrals),)
     remains = "" if lateness is None else remaining_text(problem, minimum, lateness, results)
     if lateness is None or remains:
         delay = certain_delay(problem, late_command(problem, minimum), results)

@@ -252,29 +252,34 @@ def actuator_part(
     return Part(code, words, remedy, model, behind(model), sizes, is_positive=True, is_possible=is_possible)
 
 
-FRICTION = Part(
-    code="missing-force",
+def force_part(
+    words: str,
+    remedy: str,
+    sizes: Callable[[Flight], tuple[float, ...]],
+    is_possible: Callable[[Flight, float], bool],
+    forces: Callable[[Flight, float], np.ndarray],
+) -> Part:
+    """A part that is a force of either sign beside the actuator's output; arguments as fields of :class:`Part`."""
+    return Part(
+        "missing-force", words, remedy, None, on_time, sizes, is_positive=False, is_possible=is_possible, forces=forces
+    )
+
+
+FRICTION = force_part(
     words="a force against the speed of constant size (friction, {size:.3g} ± {deviation:.2g} {command}{acceleration})",
     remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
-    actuator=None,
-    commands=on_time,
     sizes=force_sizes,
-    is_positive=False,
     is_possible=is_against,
     forces=friction_forces,
+)._replace(
     has_speed=True,
-    leaves="friction also holds at rest, which leaves a residual of its own, or another part acts beside it or in its "
-    "place",
+    leaves="friction also holds at rest, which leaves a residual of its own, or another part acts beside or instead",
 )
 
-STEADY_WIND = Part(
-    code="missing-force",
+STEADY_WIND = force_part(
     words="a constant force ({size:.3g} {command}, as of a steady wind)",
     remedy='Give the study that force with a law (disturbance, kind = "constant")',
-    actuator=None,
-    commands=on_time,
     sizes=force_sizes,
-    is_positive=False,
     is_possible=is_any,
     forces=constant_forces,
 )
@@ -312,19 +317,14 @@ FADING = Part(
 )
 
 PARTS = (
-    Part(
-        code="missing-force",
+    force_part(
         words="a force against the speed that grows with the square of the speed (drag, {size:.3g} ± {deviation:.2g} "
         "{command} at 1 {output}/s{acceleration})",
         remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
-        actuator=None,
-        commands=on_time,
         sizes=drag_sizes,
-        is_positive=False,
         is_possible=is_against,
         forces=drag_forces,
-        has_speed=True,
-    ),
+    )._replace(has_speed=True),
     FRICTION,
     STEADY_WIND,
     ACTUATOR_LAG,

@@ -11,33 +11,41 @@ import numpy as np
 
 from dssc_jax.flight_logs.fit.begun_actuators import begun_actuator
 from dssc_jax.flight_logs.fit.command_dropouts import dropout_doubts
-from dssc_jax.flight_logs.fit.command_offsets import MendedCommand, mended_command
+from dssc_jax.flight_logs.fit.command_offsets import MendedCommand, without_offset
 from dssc_jax.flight_logs.fit.joint_causes import joint_doubts
 from dssc_jax.flight_logs.fit.late_outputs import delay_doubts
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.outliers import outlier_doubts
 from dssc_jax.flight_logs.fit.part_doubts import NO_DOUBTS, PartDoubts, part_doubts, part_doubts_of_refusal
+from dssc_jax.flight_logs.fit.refits import refit
 from dssc_jax.flight_logs.fit.refusals import Explained, doubts, noise_doubts
 from dssc_jax.flight_logs.fit.search_limits import SearchCount
+from dssc_jax.flight_logs.fit.shifts import Delay
 from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts
 from dssc_jax.flight_logs.fit.start_speeds import AS_SMALL, fitted_start, start_speed_doubts
 from dssc_jax.flight_logs.signal_warnings import SignalWarning, hedged
 
 
 def explaining_command(problem: FitProblem, best: Minimum, results: list[Explained]) -> MendedCommand | None:
-    """The fit with a fault of the command that explains the residual; None if there is no such fault.
+    """The fit without a fault of the logged command that explains a doubtful residual; None if there is no such fault.
 
     The fault is an actuator that has already followed the first command, or else a constant that the vehicle did not
-    answer.
+    answer. Both are told in studies of one channel only.
 
     Args:
         problem: The least-squares problem of the log.
         best: Its minimum.
         results: How well each channel is described.
     """
-    begun = begun_actuator(problem, best, results)
-    mended = mended_command(problem, best, results)
+    log = problem.log
+    has_one_command = len(log.commands) == len(problem.readings) == 1 and not log.replayed
+    is_doubtful = any(result.is_doubtful for result in results)
+    if problem.count.is_stopped or not has_one_command or not is_doubtful:
+        return None
+    logged = refit(problem, best, log)
+    begun = begun_actuator(problem, best, results, logged)
+    mended = without_offset(problem, best, results, logged)
     if begun is not None and (mended is None or begun.residual <= AS_SMALL * mended.residual):
         return begun
     return mended
@@ -66,7 +74,7 @@ def start_in_place_of(
     start_of_mended = fitted_start(mended.problem, mended.minimum)
     if start is None or start_of_mended is None or start.residual > AS_SMALL * start_of_mended.residual:
         return (), math.inf
-    return start_speed_doubts(uncounted, best, mended.residual), start.residual
+    return start_speed_doubts(uncounted, best, mended.residual, start), start.residual
 
 
 def refusal_causes(
@@ -125,6 +133,7 @@ def doubts_of_estimates(
     results: list[Explained],
     deviations: np.ndarray,
     known: tuple[SignalWarning, ...] = (),
+    delay: Delay | None = None,
 ) -> tuple[SignalWarning, ...]:
     """The likely causes of a residual with which a fit is not refused, then the doubts about this residual.
 
@@ -134,6 +143,7 @@ def doubts_of_estimates(
         results: How well each channel is described.
         deviations: Standard deviations of the fitted coordinates, shape (f,).
         known: Warnings of the replay, which may name the cause of a doubtful residual.
+        delay: A certain delay of the outputs, where it has been fitted; None: it is looked for here.
     """
     doubts_of_noise = noise_doubts(problem, best.x, results)
     mended = explaining_command(problem, best, results)
@@ -144,7 +154,7 @@ def doubts_of_estimates(
     parts = NO_DOUBTS
     doubts_of_delays = dropout_doubts(problem, best)
     if not doubts_of_delays:
-        doubts_of_delays = delay_doubts(problem, best, results)
+        doubts_of_delays = delay_doubts(problem, best, results, delay)
         parts = part_doubts(problem, best, deviations, results[0], bool(doubts_of_delays))
     if parts.exceeds_delays:
         doubts_of_delays = ()

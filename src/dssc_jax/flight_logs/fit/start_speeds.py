@@ -89,7 +89,10 @@ def shifted_residual(problem: FitProblem, minimum: Minimum) -> float:
 
 
 def start_speed_doubts(
-    problem: FitProblem, minimum: Minimum, residual_with_part: float = math.inf
+    problem: FitProblem,
+    minimum: Minimum,
+    residual_with_part: float = math.inf,
+    found: FittedStart | None = None,
 ) -> tuple[SignalWarning, ...]:
     """The doubt about the speed at which the study begins, with the start that the output shows.
 
@@ -98,11 +101,12 @@ def start_speed_doubts(
         minimum: The minimum.
         residual_with_part: Root mean square of the residual with a part that the study lacks, which explains the flight
             as well if another start leaves no less; infinite without such a part.
+        found: The fitted start of the flight; None: it is fitted here.
     """
     if problem.count.reason:
         return ()
     start = fixed_start(problem.study)
-    found = fitted_start(problem, minimum)
+    found = fitted_start(problem, minimum) if found is None else found
     if start is None or found is None or not found.p_value < SIGNIFICANCE:
         return ()
     residual = Refit(problem, minimum).residual(0)

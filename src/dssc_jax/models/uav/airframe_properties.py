@@ -77,8 +77,8 @@ def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) 
             has, and an estimate is among them.
     """
     missing = [name for name in INERTIA if name not in parameters]
-    for name in set(INERTIA).difference(missing):
-        if not parameters[name] > 0.0:
+    for name in INERTIA:
+        if name in parameters and not parameters[name] > 0.0:
             raise ConfigError(name, f"must be > 0, got {parameters[name]:g} kg m^2")
     if missing:
         axes = "" if missing == list(INERTIA) else " about the other axes"

@@ -48,8 +48,8 @@ FACTORED = ("rate_p", "rate_i", "rate_d")
 TILT = "MPC_TILTMAX_AIR"
 LOOP_RATE = "IMU_GYRO_RATEMAX"
 """PX4's parameter of the rate of the attitude and rate loops [Hz]."""
-THRUSTS = {"thrust_min": "MPC_THR_MIN", "thrust_max": "MPC_THR_MAX"}
-"""The limits of the thrust, of which the first is the smaller one."""
+UNITS_OF_ANGLES = {"rad": " degrees", "rad/s": " degrees/s"}
+"""PX4's units of angles and of their rates, by those of the cascade."""
 GAIN_PARAMETERS = (*PARAMETERS.values(), *itertools.chain(*(TRIPLES | DEGREES).values()), *FACTORS, TILT)
 """All parameters of PX4 that :func:`gains_from` takes."""
 
@@ -91,38 +91,47 @@ def require_admissible(parameters: Mapping[str, float]) -> None:
     Raises:
         ConfigError: A value is not admissible; the message has PX4's name and unit of the parameter.
     """
+    require_ranges(parameters)
+    defaults = Px4Gains._field_defaults
+    for name in FACTORS:
+        if parameters.get(name, 1.0) < 0.0:
+            raise ConfigError(name, f"must be >= 0, got {parameters[name]:g}")
+    least = parameters.get("MPC_THR_MIN", defaults["thrust_min"])
+    largest = parameters.get("MPC_THR_MAX", defaults["thrust_max"])
+    if not least < largest:
+        raise ConfigError("MPC_THR_MIN", f"must be < MPC_THR_MAX = {largest:g}, got {least:g}")
+    cutoff = parameters.get("IMU_GYRO_CUTOFF", 0.0)
+    limit = 0.5 * (parameters.get(LOOP_RATE, 0.0) or defaults["frequency"])
+    if not cutoff < limit:
+        raise ConfigError("IMU_GYRO_CUTOFF", f"must be below half the rate of the loops, {limit:g} Hz, got {cutoff:g}")
+
+
+def require_ranges(parameters: Mapping[str, float]) -> None:
+    """Require each of PX4's parameters to be in the range of its field, converted to PX4's unit.
+
+    Raises:
+        ConfigError: One is not.
+    """
     quantities = quantities_of(Px4Gains)
-    fields = {name: field for field, name in PARAMETERS.items()}
-    fields |= {name: field for field, names in (TRIPLES | DEGREES).items() for name in names}
-    fields[TILT] = "tilt_max"
-    for name, field in fields.items():
+    field_of = {name: field for field, name in PARAMETERS.items()} | {TILT: "tilt_max"}
+    for field, names in (TRIPLES | DEGREES).items():
+        field_of |= dict.fromkeys(names, field)
+    for name, field in field_of.items():
         if name not in parameters:
             continue
         quantity = quantities[field]
-        unit = ""
-        if name == TILT or field in DEGREES:
-            unit = " degrees" if name == TILT else " degrees/s"
+        unit = UNITS_OF_ANGLES.get(quantity.unit, "")
+        if unit:
             quantity = replace(quantity, above=in_degrees(quantity.above), below=in_degrees(quantity.below))
-        require_rule(name, parameters[name], quantity.violated_by(parameters[name], parameters[name]), unit)
-    for name in FACTORS:
-        require_rule(name, parameters.get(name, 1.0), "must be >= 0" if parameters.get(name, 1.0) < 0.0 else None)
-    least, largest = (parameters.get(name, Px4Gains._field_defaults[field]) for field, name in THRUSTS.items())
-    require_rule("MPC_THR_MIN", least, None if least < largest else f"must be < MPC_THR_MAX = {largest:g}")
-    cutoff = parameters.get("IMU_GYRO_CUTOFF", 0.0)
-    limit = 0.5 * (parameters.get(LOOP_RATE, 0.0) or Px4Gains._field_defaults["frequency"])
-    rule = None if cutoff < limit else f"must be below half the rate of the loops, {limit:g} Hz"
-    require_rule("IMU_GYRO_CUTOFF", cutoff, rule)
+        value = parameters[name]
+        rule = quantity.violated_by(value, value)
+        if rule is not None:
+            raise ConfigError(name, f"{rule}{unit}, got {value:g}")
 
 
 def in_degrees(angle: float | None) -> float | None:
     """A bound in degrees; None: there is none."""
     return None if angle is None else math.degrees(angle)
-
-
-def require_rule(name: str, value: float, rule: str | None, unit: str = "") -> None:
-    """Raise a ConfigError for a parameter that violates a rule; None: it violates none."""
-    if rule is not None:
-        raise ConfigError(name, f"{rule}{unit}, got {value:g}")
 
 
 def unusual_gains(parameters: Mapping[str, float]) -> list[str]:
