@@ -60,6 +60,18 @@ def test_the_steady_gain_is_that_of_a_linear_actuator_with_a_memory(table, gain)
     assert found == (None if gain is None else pytest.approx(gain, rel=1e-12))
 
 
+def test_a_limit_that_is_not_reached_does_not_hide_it():
+    """The limit stands before the lag, and only every third output is logged."""
+    commands = held_commands(2)
+    noise = 0.002 * np.random.default_rng(3).normal(size=len(commands))
+    elements = [{"kind": "saturation", "limit": 5.0}, {"kind": "lag", "mu": {"uniform": [0.1, 0.3]}}]
+    log = log_of(exact_output(commands, 2.0) + noise, commands)
+    y = log.columns["y"]
+    sparse = log._replace(columns=log.columns | {"y": y._replace(time=y.time[::3], value=y.value[::3])})
+    with pytest.raises(Unexplained, match=r"begins at 2 m/s, and the actuator seems .*plant\.k_p is 1\.(09|1\d)"):
+        fit_log(study_of(SLOW, actuator=elements), sparse)
+
+
 @pytest.mark.parametrize("first", [0.0, 2.0])
 def test_an_actuator_that_has_followed_the_first_command_is_told(first):
     commands = held_commands(2)

@@ -25,11 +25,12 @@ def steady_gain(study: Study) -> float | None:
     """The ratio of steady output to constant input of the actuator, in a study of one channel.
 
     Returns:
-        None if the actuator is not linear, has no state, or integrates its input.
+        None if the actuator has no linear part, or this has no state, or integrates its input. Elements before the
+        linear part count as if they passed the command on, which the residual tells.
     """
     (model,) = study.loop.unmodelled
     (params,) = study.params(median_values(study)).unmodelled
-    if model.linear is None or model.advance is not None:  # the latter has other elements before its linear part
+    if model.linear is None:
         return None
     system = model.linear(params)
     a = np.array(system.a, float).reshape(len(system.b), len(system.b))
